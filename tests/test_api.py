@@ -5,7 +5,6 @@ import inspect
 import io
 import json
 import math
-import os
 import pickle
 import re
 import shutil
@@ -24,14 +23,12 @@ from occmap.choices import list_options, read_options
 from occmap.cli.console import spell
 from occmap.errors import OccmapError, OutputError, UsageError
 from occmap.options import BuildOptions
-from occmap.posing import Deskew, Stamps
-from occmap.readers import Echo
-from occmap.sensor import NoReturn, ReturnOptions
-from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
+from occmap.sensor import ReturnOptions
+from occmap.sensor.models import CountingModel, QuadraticModel
 from occmap.store.painting import RenderOptions
 from occmap.types import Pose, PoseSample, Update
-from occmap.writers import MapMode, Shade
 from tests.cli.runner import ask
+from tests.every_option import EVERY
 from tests.samples import DRIVES, ROOT, write_csv
 
 DRIVE = DRIVES[-1]
@@ -41,84 +38,12 @@ BY_HAND: dict[str, Any] = {
     "resolution": 0.1,
     "hit_offset": 0,
 }
-HALF = math.sqrt(0.5)
 
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     """Two scans from the middle of a cell of 0.1 m"""
     return write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 2, [0.3])
-
-
-GIVEN: dict[str, dict[str, tuple[Any, Any]]] = {
-    "": {
-        "resolution": (1, 1.0),
-        "update": ("beam", Update.BEAM),
-        "model": ("simple:cut=0.4", SimpleModel(cut=0.4)),
-        "hit_offset": (0.25, 0.25),
-        "jump": (np.float32(0.5), 0.5),
-        "border_gap": (np.int64(3), 3),
-        "max_cells": (1000, 1000),
-        "min_passes": (2, 2),
-        "pass_gap_s": (30, 30.0),
-        "resume_if_there": ("a.npz", Path("a.npz")),
-        "resume": ("a.npz", Path("a.npz")),
-        "jobs": (1, 1),
-        "fit": (True, True),
-    },
-    "returns": {
-        "min_range": (0.5, 0.5),
-        "max_range": (6, 6.0),
-        "range_max": (30, 30.0),
-        "no_return": ("clear", NoReturn.CLEAR),
-        "ignore_sectors": ([[2.5, -2.5]], ((2.5, -2.5),)),
-        "footprint": (np.array([-1, -1, 1, 1]), (-1.0, -1.0, 1.0, 1.0)),
-    },
-    "selection": {
-        "topics": ("/scan", ("/scan",)),
-        "start_s": (5, 5.0),
-        "end_s": (5, 5.0),
-        "stride": (2, 2),
-    },
-    "reading": {"echo": ("last", Echo.LAST)},
-    "clouds": {
-        "min_height": (0.2, 0.2),
-        "max_height": (1, 1.0),
-        "range_margin": (0, 0.0),
-        "ground": ("flat", "flat"),
-        "sensor_height": (1, 1.0),
-    },
-    "posing": {
-        "poses": (Path("poses.tum"), "poses.tum"),
-        "sensor_pose": ((1, 2, 0, math.pi / 2, 0), Pose(1.0, 2.0, 0.0, HALF, 0.0, 0.0, HALF)),
-        "static_transforms": (
-            [("a", "b", 1, 2, 3, 0, 0, math.pi / 2)],
-            (PoseSample(0, "a", "b", Pose(1, 2, 3, 0, 0, HALF, HALF), static=True),),
-        ),
-        "map_frame": ("map", "map"),
-        "transform": ((1, 2, math.pi / 2, 3), Pose(1.0, 2.0, 3.0, 0.0, 0.0, HALF, HALF)),
-        "align": (None, None),
-        "level": ([2, -1.5], (2.0, -1.5)),
-        "height_drift": ("off", {}),
-        "base_frame": ("base", "base"),
-        "max_pose_gap_s": (None, None),
-        "max_speed": (2, 2.0),
-        "time_offset_s": (-1, -1.0),
-        "stamps": ("record", Stamps.RECORD),
-        "deskew": ("auto", Deskew.AUTO),
-    },
-    "framing": {"extent": ([0, 0, 2, 1], (0.0, 0.0, 2.0, 1.0)), "margin": (2, 2.0)},
-    "writing": {
-        "mode": ("scale", MapMode.SCALE),
-        "occupied_thresh": (0.9, 0.9),
-        "free_thresh": (0.1, 0.1),
-        "shade": ("light", Shade.LIGHT_OCCUPIED),
-        "edits": (os.devnull, Path(os.devnull)),  # a file without a shape
-        "georeference": ([52.5, 13.4, -9], (52.5, 13.4, -9.0)),
-    },
-}
-"""Options by their groups, each as a notebook gives it, and the value that it is"""
-PLAIN = [(group, name, *values) for group, them in GIVEN.items() for name, values in them.items()]
 
 
 def flatten(value: Any) -> Any:
@@ -128,7 +53,7 @@ def flatten(value: Any) -> Any:
     return [value]
 
 
-@pytest.mark.parametrize(("group", "name", "given", "value"), PLAIN, ids=[it[1] for it in PLAIN])
+@pytest.mark.parametrize(("group", "name", "given", "value"), EVERY, ids=[it[1] for it in EVERY])
 def test_an_option_is_given_by_name_as_a_plain_value(
     group: str, name: str, given: Any, value: Any
 ) -> None:
@@ -146,7 +71,7 @@ def test_an_option_is_given_by_name_as_a_plain_value(
 
 
 def test_every_option_can_be_given() -> None:
-    assert sorted(name for _, name, *_ in PLAIN) == sorted(list_options(BuildOptions))
+    assert sorted(name for _, name, *_ in EVERY) == sorted(list_options(BuildOptions))
     assert list_options(RenderOptions).keys() <= {*list_options(BuildOptions), "overview"}
 
 
@@ -223,7 +148,7 @@ def test_paths_are_given_one_by_one_or_as_a_list(call: Any) -> None:
         (occmap.build_map, "poses", "a\0"),
         (occmap.build_map, "map_frame", b"map"),
         (occmap.compare, "updates", "beem"),
-        (occmap.compare, "models", 3),
+        *((occmap.compare, "models", value) for value in (3, [None])),
         (occmap.compare, "picture", 3),
         (occmap.merge, "subtract", 3),
         (partial(occmap.merge, "a.npz"), "fit", "yes"),
@@ -466,22 +391,6 @@ def test_compare_gives_what_the_command_prints(tmp_path: Path) -> None:
     hold_against_command(found, "compare", DRIVE, *words, "-o", picture)
     assert {each.variant.name for each in found.results} == {"beam simple", "beam counting"}
     assert picture.exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"updates": ["beem"]}, "`updates` is 'beem'; give \"beam\" or"),
-        ({"updates": [None]}, "`updates` is None; give a list, each item"),
-        ({"models": [None]}, "`models` is None; give a list, each item text such as"),
-        ({"models": ["smiple"]}, "no model is called 'smiple'"),
-        ({"strid": 2}, "compare has no option 'strid'; did you mean 'stride'?"),
-    ],
-)
-def test_compare_refuses_what_it_does_not_know(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        occmap.compare(DRIVE, **options)
-    assert message in str(caught.value)
 
 
 @pytest.fixture(scope="module")

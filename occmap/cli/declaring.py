@@ -10,14 +10,12 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import EnumType
 from glob import has_magic
 from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-from click.shell_completion import CompletionItem
 
 from occmap import choices
 from occmap.cli import COMMANDS
@@ -37,7 +35,7 @@ ALL = "occmap.all_options"
 
 
 class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it takes none
-    """A value that is read as in a notebook; shells complete paths and the words of an enum."""
+    """A value that is read as in a notebook."""
 
     name = "value"
 
@@ -57,16 +55,6 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it 
             return self.known.read_one(value)
         label = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
         return replace(self.known, name=label.strip("[].")).read_one(value)
-
-    def shell_complete(
-        self, _ctx: click.Context, _param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """List what a word may go on as."""
-        if self.known.kind is Path:
-            return [CompletionItem(incomplete, type="file")]
-        kind = self.known.kind
-        words: list[str] = list(kind) if isinstance(kind, EnumType | tuple) else []
-        return [CompletionItem(word) for word in words if word.startswith(incomplete)]
 
 
 PATH, TEXT = Value.of(Path), Value.of(str)

@@ -23,7 +23,7 @@ from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
 from occmap.inspection.poses import Doubt
 from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
-from occmap.posing import Concern, DropReason, Stamps
+from occmap.posing import Concern, DropReason
 from occmap.readers import Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
@@ -56,7 +56,7 @@ def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection
         unseen = f"{UNSEEN_CLOUDS}: {MEND_CLOUDS}" if of_clouds else unseen
     refusal = find_refusal(logs, box, options)
     # That no scan has a pose is why nothing is seen.
-    faults = list_pose_problems(logs, options.posing.stamps) or [refusal or unseen]
+    faults = list_pose_problems(logs) or [refusal or unseen]
     problems = tuple(filter(None, [*(log.problem for log in logs), *faults]))
 
     command, differing = ((), ()) if refusal else recommend(logs, options)
@@ -85,36 +85,29 @@ def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: Buil
     return ""
 
 
-def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
+def list_pose_problems(logs: Sequence[LogFindings]) -> list[str]:
     """Say why no scan has a pose, of each log or of all: a build needs at least one."""
     found = []
     for log in logs:
         faults = dict.fromkeys(topic.poses.problem for topic in log.scans)
         if "" not in faults:  # else some topic of the log has poses
             found += [f"{log.path}: {fault}" for fault in faults]
-    topics = [(log, topic) for log in logs for topic in log.scans]
-    if found or any(topic.poses.posed for _, topic in topics):
+    topics = [topic for log in logs for topic in log.scans]
+    if found or any(topic.poses.posed for topic in topics):
         return found
     return [
         f"{topic.topic}: {write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})}"
-        f"{bridge_clocks(log, topic, stamps)}"
-        for log, topic in topics
+        f"{bridge_clocks(topic)}"
+        for topic in topics
     ]
 
 
-def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
+def bridge_clocks(topic: ScanFindings) -> str:
     """Suggest an option for scans that have no pose at their times."""
     if topic.better:
         return f"; try {topic.better.option}"
     if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
         return ""
-    times = topic.times
-    for source in log.coverage:
-        apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
-        if stamps is Stamps.HEADER and source.moves and apart:
-            offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
-            option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
-            return f"; {option} would put the first scan at the first pose"
     return "; compare stamps and sources, and try `time_offset_s=S`"
 
 
@@ -165,7 +158,7 @@ def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
 def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
     """List the options that the findings about a log suggest, with their values."""
     yield from (("sensor_pose", it.poses.assumed) for it in log.scans if it.poses.assumed)
-    betters = [it.better for it in log.scans if it.better and suits_all(it.better, it, log.scans)]
+    betters = [it.better for it in log.scans if it.better]
     yield from ((it.name, it.value) for it in betters[:1])  # each was tried alone
     for concern in log.concerns:
         yield from (concern.remedy or {}).items()
@@ -175,12 +168,6 @@ def is_open(log: LogFindings) -> bool:
     """Whether space is open wherever a beam of a log does not come back."""
     specials = (special for topic in log.scans for special in topic.ranges.specials)
     return {special.no_return for special in specials} - {""} == {"clear"}
-
-
-def suits_all(better: Better, topic: ScanFindings, topics: Sequence[ScanFindings]) -> bool:
-    """Whether an option that suits a topic takes no ranges from others, which may reach farther."""
-    farthest = [it.ranges.largest for it in topics if it is not topic]
-    return better.name != "range_max" or not any(it > float(better.value) for it in farthest)
 
 
 def list_concerns(
@@ -196,7 +183,6 @@ def list_concerns(
         A sample of the scans of all topics.
     """
     has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
-    lost = {name for name, concern in doubts if concern.remedy is None}
     found = []
     for topic in log.scans:
         others = [other for other in log.scans if other is not topic]
@@ -208,10 +194,6 @@ def list_concerns(
             mine.append(Concern(tell_better(topic, topic.better)))
         elif all(concern.remedy == {} for concern in mine):  # else the reason is known
             mine += doubt_poses(topic, others)
-        elif len(others) == 1 and others[0].poses.posed and others[0].topic not in lost:
-            only = {"topics": others[0].topic}
-            left = f"; `topics={others[0].topic}` leaves it out"
-            mine = [it if it.remedy is not None else Concern(it.text + left, only) for it in mine]
         found += [it._replace(text=f"{topic.topic}: {it.text}") for it in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
         found += list_apart(log.scans, parts, options)
@@ -291,8 +273,8 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
     """Say which ranges may not be measurements, or which of the robot itself."""
     for item in ranges.repeated:
         if not item.is_no_return:
-            share = f"{item.value:g} m is {item.share:.0%} of the ranges"
-            yield Concern(f"{share} and may mean no return")
+            share = f"{item.value:g} m is {item.share:.0%} of the ranges and may mean no return"
+            yield Concern(f"{share}, as `range_max={item.value:.9g}` takes it and all beyond")
     if ranges.body is not None:
         yield poses.warn_of_body(ranges.body)
     if ranges.measured:
@@ -418,16 +400,13 @@ def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFind
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(parts, options.returns),
-        times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
+        times=topic.stamps.sum_up(moving_ns),
         poses=poses.sum_up_poses(topic, posing),
         mount=poses.sum_up_mount(drive.poser, topic.stream.topic, misfit),
         agreement=estimate_agreement(parts, options),
         misfit=misfit,
     )
     better = poses.find_better(drive, topic, found)
-    if better and better.name == "stamps":
-        times = replace(found.times, suggested_stamps=Stamps(better.value))
-        found = replace(found, times=times)
     is_explained = found.poses.stated or found.poses.problem or better or misfit
     hint = "" if is_explained else hint_at_tune(found.agreement, [str(drive.log.path)], options)
     return replace(found, better=better, hint=hint)

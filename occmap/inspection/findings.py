@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from occmap import report
 from occmap.cells import Box, CellBox
-from occmap.posing import Concern, Stamps
+from occmap.posing import Concern
 from occmap.posing.frames import Source
 from occmap.readers import Role, Stream
 from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
@@ -116,8 +116,6 @@ class TimeFindings:
     """All stamps are 0"""
     simulated: bool
     """The stamps are of a simulation's clock, which keeps its own pace, so the drift is 0"""
-    suggested_stamps: Stamps
-    """What to give as `stamps`"""
 
 
 @dataclass(frozen=True)
@@ -133,8 +131,6 @@ class MountFindings:
     better: str = ""
     """The option, with its value, that mounts it so that the scans fit each other better; empty
     where they fit"""
-    better_agreement: Share | None = None
-    """Share of the hits of a sample that lie in occupied cells with it"""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ from occmap.scans.logs import read_poser
 from occmap.scans.mounts import Better, Posing
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
-from occmap.sensor.bands import BAND
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Update
 
 Doubt: TypeAlias = tuple[str, Concern]
@@ -85,10 +84,7 @@ def find_better(drive: Drive, topic: TopicSurvey, found: ScanFindings) -> Better
 
 def list_others(poser: Poser, topic: TopicSurvey, found: ScanFindings) -> Iterator[tuple[str, str]]:
     """List options, with their values, that may suit the scans of a topic better."""
-    options, ranges, times = poser.options, found.ranges, found.times
-    for item in ranges.repeated:
-        if not item.is_no_return and item.value > (1 - BAND) * ranges.largest:
-            yield "range_max", str(np.float32(item.value)).removesuffix(".0")
+    options, times = poser.options, found.times
     way = poser.chains.get(next(iter(topic.frames)))
     if topic.stated or way is None or not found.kept:
         return
@@ -263,8 +259,8 @@ def sum_up_mount(poser: Poser, topic: str, misfit: Better | None) -> MountFindin
     """Sum up how the sensor of a topic sits; None where no scan has a pose."""
     if (stance := poser.find_stance(topic)) is None:
         return None
-    better = (f"{misfit.name}={misfit.value}", misfit.agreement) if misfit else ()
-    return MountFindings(stance.upside_down, stance.tilt, stance.height, *better)
+    better = f"{misfit.name}={misfit.value}" if misfit else ""
+    return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
 LEAST_TILT_DEG = 0.5

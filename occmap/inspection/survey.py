@@ -19,7 +19,6 @@ from occmap import sensor
 from occmap.cells import Box, CellBox
 from occmap.grid import Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, ScanShape, Special, TimeFindings
-from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.readers import Stream
 from occmap.scans import TopicSample, encode_cells
@@ -314,7 +313,7 @@ class StampLog:
             times.frombytes(np.clip(own, -MAX_STAMP_NS, MAX_STAMP_NS, dtype=np.int64).tobytes())
         self._increment.frombytes(np.asarray(some.time_increment, np.float64).tobytes())
 
-    def sum_up(self, suggested_stamps: Stamps, poses_ns: int | None = None) -> TimeFindings:
+    def sum_up(self, poses_ns: int | None = None) -> TimeFindings:
         """Sum up the times of at least one scan.
 
         Parameters
@@ -350,7 +349,6 @@ class StampLog:
             all_equal=all_equal,
             all_zero=bool((header == 0).all()),
             simulated=simulated,
-            suggested_stamps=suggested_stamps,
         )
 
 

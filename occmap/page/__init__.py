@@ -74,8 +74,6 @@ class Stage:
     plots: Sequence[Any]
     """Bokeh figures, which are called map-0, map-1 ..."""
     titles: Sequence[str]
-    posters: Sequence[str]
-    """A PNG of each, in base 64, that stands for it until it is drawn"""
     data: dict[str, Any]
     """What the script knows of them; see page.js"""
     note: str = ""

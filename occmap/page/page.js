@@ -112,10 +112,8 @@
       }
     });
   }
-  // Until it is drawn a map is there as a picture: for pages that are printed, or photographed.
   let settled = false;
   function settle() {
-    document.querySelectorAll(".poster").forEach(poster => poster.remove());
     document.body.dataset.drawn = Math.round(performance.now());
     prepare();
   }

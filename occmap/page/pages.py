@@ -83,8 +83,6 @@ def list_losses(made: raster.Raster, product: Product, evidence: Evidence) -> It
             f"The map is too large for a page: of each {made.step} x {made.step} cells the one "
             "most likely occupied is shown."
         )
-    if made.rounding:
-        yield f"So that the page stays small, counts are off by up to {made.rounding:.0%}."
     if product.journey is None:
         yield "This map is of saved evidence, which does not keep where the robot went."
     elif len(evidence.manifest.builds) > 1:

@@ -8,7 +8,7 @@ The page's script fills the maps, by what it is told here of how their layers ar
 """
 
 import zlib
-from base64 import b64decode, b64encode
+from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -20,26 +20,21 @@ from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
 
-from occmap.cells import Box, CellBox, Evidence, Ground, OccupancyMap, Slices, keep_largest
+from occmap.cells import Box, CellBox, Evidence, Ground, OccupancyMap, Slices
 from occmap.evidence import to_grid
 from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.page import Stage
 from occmap.types import Bool, Int64, Trajectory
-from occmap.writers.images import encode_png
 from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""
 MOST_BYTES = 12_500_000
 """Of all layers of a page together, compressed and as text"""
-COUNTS = {"hits", "misses", "looks"}
 UNKNOWN, FREE, UNDECIDED, OCCUPIED = range(4)
 STEPS = (1, 2, 4, 8, 16, 32, TILE)
 """Where a map has too many cells, of each square with so many along its side one is shown."""
-COUNT_STEPS = (16, 4)
-"""Before that, counts are rounded to so many steps for each doubling, which makes them compress
-better."""
 
 Layers: TypeAlias = dict[str, NDArray[Any]]
 """(H, W) unsigned numbers by name; row 0 is the lowest y"""
@@ -74,8 +69,6 @@ class Raster:
     step: int
     """How many cells of the map that is wide"""
     layers: dict[str, Packed]
-    rounding: float = 0.0
-    """By what share of itself a count may be off"""
 
 
 class Seen(NamedTuple):
@@ -119,25 +112,19 @@ def make_raster(grid: OccupancyMap, seen: Seen | None, most_bytes: int = MOST_BY
 
 
 def list_rasters(grid: OccupancyMap, seen: Seen | None) -> Iterator[Raster]:
-    """Take the layers of a map more and more roughly, so that they take fewer and fewer bytes."""
+    """Take the layers of a map, all cells or fewer and fewer, so that they take fewer bytes."""
     box = grid.box
     steps = [each for each in STEPS if box.cells <= MOST_CELLS * each**2]
     for step in steps or STEPS[-1:]:
         bands = [thin(band, step) for band in read_bands(grid, seen, box)]
         shown, size = box.align(step).shrink(step), grid.resolution * step
         window = shown.within(box.align(TILE).shrink(step))
-        layers = {
-            name: np.concatenate([band[name] for band in bands])[window]
+        packed = {
+            name: pack_layer(np.concatenate([band[name] for band in bands])[window])
             for name in bands[0]
             if name != "rank"
         }
-        place = round(shown.col * size, 9), round(shown.row * size, 9), size, step
-        packed = {name: pack_layer(layer) for name, layer in layers.items()}
-        yield Raster(*place, packed)
-        for parts in COUNT_STEPS:
-            counts = {name: round_counts(layers[name], parts) for name in COUNTS & layers.keys()}
-            packed = packed | {name: pack_layer(layer) for name, layer in counts.items()}
-            yield Raster(*place, packed, 0.5 / parts)
+        yield Raster(round(shown.col * size, 9), round(shown.row * size, 9), size, step, packed)
 
 
 def read_bands(grid: OccupancyMap, seen: Seen | None, box: CellBox) -> Iterator[Layers]:
@@ -214,13 +201,6 @@ def to_blocks(layer: NDArray[Any], step: int) -> NDArray[Any]:
     return blocks.reshape(rows, cols, step * step)
 
 
-def round_counts(counts: NDArray[Any], steps: int) -> NDArray[Any]:
-    """Round counts to `steps` values for each doubling; those below twice `steps` stay exact."""
-    coarse = np.exp2(np.floor(np.log2(np.maximum(counts / steps, 1))))
-    rounded: NDArray[Any] = (np.rint(counts / coarse) * coarse).astype(counts.dtype)
-    return rounded
-
-
 def pack_layer(array: NDArray[Any]) -> Packed:
     """Pack (H, W) numbers from 0 to 2^32 - 1; larger ones become the largest."""
     largest = min(int(array.max(initial=0)), 2**32 - 1)
@@ -235,8 +215,6 @@ CLASS_NAMES = ("unknown", "free", "undecided", "occupied")
 CLASS_COLOURS = ("#d5d9de", "#ffffff", "#f2c879", "#1f2430")
 SHADES = 64
 """Steps of a ramp of colours: no eye tells more apart"""
-POSTER_PX = 800
-"""The longer side of what a page shows until it has drawn."""
 
 Kind = Literal["classes", "ramp", "log", "time"]
 
@@ -307,19 +285,9 @@ def set_out(
     return Stage(
         plots=[first, *(plot_map(index, first) for index in range(1, len(rasters)))],
         titles=titles,
-        posters=[draw_poster(each.layers[layers[0].key], layers[0].colours) for each in rasters],
         data={"maps": rasters, "layers": layers, "box": box},
         note=note,
     )
-
-
-def draw_poster(classes: Packed, colours: Sequence[str]) -> str:
-    """Draw a small PNG, in base 64: of the cells that share a pixel the largest, y upwards."""
-    plain = np.frombuffer(zlib.decompress(b64decode(classes.data)), np.uint8)
-    cells = plain.reshape(classes.rows, classes.columns)
-    small = keep_largest(cells, -(-max(cells.shape) // POSTER_PX))
-    table = np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8)
-    return b64encode(encode_png(table[small[::-1]])).decode()
 
 
 WAY_COLOURS = palettes.Plasma256[20:165]

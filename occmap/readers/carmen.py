@@ -22,7 +22,6 @@ import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -34,7 +33,7 @@ from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
 from occmap.types import IDENTITY, PoseBatch, PoseSample, Scan, ScanBatch
-from occmap.values import SECONDS, as_float32, parse_number, parse_time
+from occmap.values import SECONDS, as_float32, parse_number
 
 FRONT, REAR = "front_laser", "rear_laser"
 
@@ -68,8 +67,6 @@ POSED = frozenset(word for word, line in SCAN_LINES.items() if line.behind)
 """Those of scans that state the pose of the laser"""
 USUAL_BEAMS = (180, 181, 360, 361)
 """How many beams a line has that is known to imply its angles."""
-UNTIMED = ("FLASER", "RLASER")
-"""Lines of scans that may lack their time"""
 _ANGLE_MIN, _INCREMENT, _RANGE_MAX = 2, 4, 5
 """The words of a line that states its angles"""
 
@@ -79,14 +76,12 @@ def imply_increment(beams: int) -> float:
     return math.pi / max(beams - beams % 2, 1)
 
 
-def find_lists(
-    words: Sequence[bytes], kind: LineType, is_timed: bool
-) -> tuple[Sequence[slice], int]:
+def find_lists(words: Sequence[bytes], kind: LineType) -> tuple[Sequence[slice], int]:
     """Find the lists of a line, each behind its length, and where the numbers behind them begin.
 
-    A time, a host and a second time follow these, or up to three words without a meaning.
+    A time, a host and a second time follow these.
     """
-    end = len(words) - 3 if is_timed else len(words)
+    end = len(words) - 3
     if end < 2 + kind.before:
         raise ValueError("the line is too short")
     lists: list[slice] = []
@@ -98,23 +93,9 @@ def find_lists(
             raise ValueError(f"the line announces {length:g} values where {room} follow")
         lists.append(slice(at + 1, at + 1 + int(length)))
         at = lists[-1].stop
-    if not 0 <= end - at - kind.behind <= (0 if is_timed else 3):
-        place = "before the time " if is_timed else ""
-        raise ValueError(f"{end - at} numbers {place}where {kind.behind} belong")
+    if end - at != kind.behind:
+        raise ValueError(f"{end - at} numbers before the time where {kind.behind} belong")
     return lists, at
-
-
-def lacks_time(words: Sequence[bytes], kind: LineType) -> bool:
-    """Whether a line states a scan and its poses, and no time, as some converters write it."""
-    with suppress(ValueError):
-        find_lists(words, kind, is_timed=True)
-        for word in (words[-3], words[-1]):
-            parse_time(unquote(word))
-        return False
-    with suppress(ValueError):
-        find_lists(words, kind, is_timed=False)
-        return words[0].decode() in UNTIMED
-    return False
 
 
 def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
@@ -156,8 +137,6 @@ class CarmenLog(TextLog):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._lacks_time: bool | None = None
-        """Whether its first scan states no time: then those of the same kind state none, too"""
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword"""
         for some in self._survey(self._survey_block):
@@ -188,25 +167,18 @@ class CarmenLog(TextLog):
         return pick(SCAN_LINES, block)
 
     def find_pattern(self, line: Line) -> Pattern:
-        """Say what lines like one have in common: all but times, ranges and poses.
-
-        The first scan shows whether all of its kind have times.
-        """
+        """Say what lines like one have in common: all but times, ranges and poses."""
         words = line.raw.split()
         keyword = words[0].decode()
         if (kind := LINES.get(keyword)) is None:
             raise ValueError(f"{keyword!r} is no line of scans or odometry")
-        lacks = lacks_time(words, kind) if self._lacks_time is None else self._lacks_time
-        is_timed = not (lacks and keyword in UNTIMED)
-        lists, behind = find_lists(words, kind, is_timed)
-        self._lacks_time = lacks
+        lists, behind = find_lists(words, kind)
         kinds = np.full(len(words), decimals.NUMBER)
         kinds[[0, *(each.start - 1 for each in lists)]] = decimals.SAME
         kinds[behind + kind.behind :] = decimals.OTHER
         columns = dict(zip(POSE_NAMES, range(behind, behind + 3), strict=True))
-        if is_timed:
-            columns |= {"stamp": -3, "record": -1}
-            kinds[[-3, -1]] = decimals.TIME + SECONDS
+        columns |= {"stamp": -3, "record": -1}
+        kinds[[-3, -1]] = decimals.TIME + SECONDS
         if kind.before:
             kinds[[_ANGLE_MIN, _INCREMENT, _RANGE_MAX]] = decimals.SAME
         ranges = lists[0] if lists else slice(0, 0)

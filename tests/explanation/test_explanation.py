@@ -4,7 +4,7 @@ import json
 import math
 import shutil
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import Evidence
-from occmap.clouds import CloudOptions
+from occmap.choices import read_options
 from occmap.errors import LogError, MapError, PoseError
 from occmap.evidence import keep_lasting, render, to_grid
 from occmap.evidence.manifest import UNRECORDED, describe_build, list_logs
@@ -21,16 +21,16 @@ from occmap.explanation import Explanation, Question, Use, explain, find_uses, r
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions, Stamps
-from occmap.readers import Echo, ReaderOptions
 from occmap.sensor import NoReturn, ReturnOptions, models
-from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
+from occmap.sensor.models import CountingModel, QuadraticModel
 from occmap.store import Blocks
 from occmap.store.merging import merge, subtract
 from occmap.store.painting import RenderOptions, render_saved
-from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
-from occmap.writers import MapMode, Shade, WriteOptions
+from occmap.types import BEAM_UPDATES, Update
+from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
 from tests.csv_logs import write_poses, write_scans
+from tests.every_option import EVERY
 from tests.evidence.saving import DRIVE, choose, each_combination, save
 from tests.samples import PLAIN, SAMPLE_LOGS, Planar, write_csv
 
@@ -353,49 +353,11 @@ def test_what_is_no_log_of_the_evidence_is_refused_with_what_it_was_made_of() ->
         find(build_followed(), "path.txt")
 
 
-MOUNT = Pose.from_xyzrpy((0.1, -0.2, 0.3), (math.pi, 0.1, -0.7))
-UNUSUAL = BuildOptions(
-    resolution=0.1 + 0.2,
-    update=Update.POLYGON,
-    model=CountingModel(
-        *(0.45, 1 / 3, 2.5, 0.4, 0.01, 0.1, 0.96), ceiling=0.9, doubt=0.1, repeat_from=8.0
-    ),
-    reading=ReaderOptions(echo=Echo.LAST),
-    clouds=CloudOptions(0.2, 1.1, 0.02, "flat", 0.7),
-    returns=ReturnOptions(
-        min_range=0.05,
-        max_range=7.7,
-        range_max=29.9,
-        no_return=NoReturn.CLEAR,
-        ignore_sectors=((2.5, -2.5), (0.1, 0.2)),
-        footprint=(-0.4, -0.3, 0.2, 0.3),
-    ),
-    posing=PosingOptions(
-        map_frame="world",
-        base_frame="robot",
-        sensor_pose=MOUNT,
-        poses="/slam/pose",
-        max_pose_gap_s=None,
-        time_offset_s=-1e-9,
-        max_speed=math.inf,
-        transform=Pose.planar(1 / 3, -2.5, 0.1),
-        align=-12.34,
-        level=(1.25, -100.0),
-        height_drift={},
-        deskew=Deskew.AUTO,
-        stamps=Stamps.RECORD,
-        static_transforms=(PoseSample(0, "robot", "laser", MOUNT, static=True),),
-    ),
-    selection=Selection(topics=("/front", "/rear"), start_s=1.5, end_s=1e6, stride=3),
-    writing=WriteOptions(MapMode.SCALE, 0.7, 0.2, Shade.LIGHT_OCCUPIED),
-    jump=math.inf,
-    border_gap=0,
-    hit_offset=0.25,
-    max_cells=12,
-    min_passes=3,
-    pass_gap_s=0.25,
+LEFT = {"extent", "margin", "edits", "georeference", *UNRECORDED}
+UNUSUAL = read_options(
+    BuildOptions, {name: it for _, name, it, _ in EVERY if name not in LEFT} | {"end_s": 6}, ""
 )
-"""Nothing in it is as usual."""
+"""Nothing in it is as usual, but for what evidence does not depend on."""
 
 
 def write_down(options: BuildOptions) -> dict[str, Any]:
@@ -405,26 +367,15 @@ def write_down(options: BuildOptions) -> dict[str, Any]:
     return chosen
 
 
-def list_usual(group: Any, usual: Any, name: str = "") -> list[str]:
-    """Names of the options that have the same value in both."""
-    if not is_dataclass(group):
-        return [name] if group == usual else []
-    pairs = [(f.name, getattr(group, f.name), getattr(usual, f.name)) for f in fields(group)]
-    return [each for field, mine, its in pairs for each in list_usual(mine, its, field)]
-
-
-def test_every_option_is_tested() -> None:
-    left = {"extent", "margin", "edits", "georeference"} | set(UNRECORDED) - {"framing"}
-    assert set(list_usual(UNUSUAL, BuildOptions())) == left
-
-
 @pytest.mark.parametrize(
     "options",
     [
         BuildOptions(),
         UNUSUAL,
         replace(UNUSUAL, model=QuadraticModel(0.07, 0.3, 0.4), min_passes=None),
-        replace(UNUSUAL, model=SimpleModel(0.9, 1 / 3, 0.45, cut=0.6, spread=0.0, clamp_min=0.1)),
+        replace(
+            UNUSUAL, model=CountingModel(1 / 3, ceiling=0.9), resolution=0.1 + 0.2, jump=math.inf
+        ),
         replace(UNUSUAL, returns=ReturnOptions(), posing=PosingOptions(max_pose_gap_s=math.inf)),
     ],
     ids=lambda options: options.model.name,

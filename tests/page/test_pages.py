@@ -1,11 +1,9 @@
-import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from selenium.webdriver import Chrome
 
 from occmap import api
@@ -13,7 +11,7 @@ from occmap.api import Map
 from occmap.cells import Box
 from occmap.page.raster import CLASS_COLOURS, SCAN_COLOUR, make_raster
 from occmap.writers.edits import Change, read_edits
-from tests.page.browser import BROWSER, FLAGS, Shown, open_browser, wait_until
+from tests.page.browser import Shown, open_browser, wait_until
 
 DRIVE = Path("sample_logs/drive.mcap")
 RESOLUTION = 0.1
@@ -191,22 +189,6 @@ def test_on_a_phone_nothing_sticks_out_and_a_tap_says_what_is_there(
     assert (width, wide > 300) == (390, True)
 
 
-def test_a_photograph_of_a_page_that_has_not_drawn_yet_shows_the_map(
-    drive: Drive, tmp_path: Path
-) -> None:
-    assert BROWSER
-    made = tmp_path / "map.html"
-    drive.map.save(made)
-    html = made.read_text(encoding="utf-8")
-    made.write_text(html.replace("new DecompressionStream", "new Never"), encoding="utf-8")
-    shot = f"--screenshot={tmp_path / 'page.png'}"
-    subprocess.run([BROWSER, *FLAGS, shot, made.as_uri()], check=True, capture_output=True)
-    with Image.open(tmp_path / "page.png") as image:
-        pixels = np.asarray(image.convert("RGB"))[150:600, 100:800]
-    walls = (pixels == to_rgb(CLASS_COLOURS[3])).all(axis=-1)
-    assert walls.mean() > 0.01
-
-
 def test_maps_of_a_comparison_are_linked_and_its_table_sorts(
     browser: Chrome, tmp_path: Path
 ) -> None:
@@ -262,10 +244,9 @@ def test_a_page_that_had_to_be_made_smaller_says_so_and_still_points(
     made = api.build_map(DRIVE, resolution=0.05, stride=10, outputs=path)
     page = Shown(browser, path)
     assert "of each 64 x 64 cells the one most likely occupied" in page.text(".note")
-    assert "counts are off by up to 12%" in page.text(".note")
     page.calibrate()
     row, col = divmod(int(made.probability.argmax()), made.shape[1])
     said = page.point(*find_middle(made, row, col))
     assert said["class"] == "occupied"
     assert float(said["probability"]) == pytest.approx(made.probability.max(), abs=0.01)
-    assert float(said["misses"]) == pytest.approx(made.misses[row, col], rel=0.125, abs=0.05)
+    assert float(said["misses"]) == pytest.approx(made.misses[row, col], abs=0.05)
