@@ -128,7 +128,8 @@ def as_ranges(values: ArrayLike) -> NDArray[np.float32]:
     """Copy one row of numbers as float32, (B,), what is masked as NaN; raises DamageError."""
     try:
         array = np.asarray(values)
-        if isinstance(values, np.ma.MaskedArray):
+        # Most are plain arrays, for which numpy.ma need not be loaded.
+        if array is not values and isinstance(values, np.ma.MaskedArray):
             array = np.where(np.ma.getmaskarray(values), np.nan, array)
     except (ValueError, TypeError, OverflowError):  # rows that differ in length, and the like
         raise DamageError("holds ranges that are not numbers in one row") from None

@@ -167,9 +167,7 @@ def trace_beams(
             for i in range(1 + (links[1, s, b] if links.size else 0)):
                 if i:
                     ray = draw_next(ray, links[2, s, b], links[3, s, b], radial, depth)
-                path = find_path(ray, radial, depth)
-                if field.clipped is not None:
-                    path = lines.clip_path(path, field.changes)
+                path = lines.clip_path(find_path(ray, radial, depth), field.changes, field.clipped)
                 if tiles is None and path.first < path.plain:
                     lines.note_plain(path, field.changes)
                 if radial is not None:

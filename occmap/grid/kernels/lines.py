@@ -134,8 +134,10 @@ class Path(NamedTuple):
 
 
 @step
-def clip_path(path: Path, changes: Changes) -> Path:
-    """Leave out the cells that lie beside a window."""
+def clip_path(path: Path, changes: Changes, clipped: bool | None) -> Path:
+    """Leave out the cells that lie beside a window, unless none does, as `Field` says."""
+    if clipped is None:  # as an argument it is known while compiling, which leaves out the rest
+        return path
     line, (u, v), rows, cols = path.line, (path.line.u, path.line.v), changes.rows, changes.cols
     width, height = (rows, cols) if line.steep else (cols, rows)
     before_u, beyond_u = (-u, width - u) if line.u_sign > 0 else (u - width + 1, u + 1)

@@ -112,30 +112,26 @@ def link_neighbours(rays: Rays, ends_x: Int32, ends_y: Int32, jump: float, links
     scans, count = rays.kind.shape
     last = count - 1
     for s in range(scans):
-        kinds, distance, x, y = rays.kind[s], rays.distance[s], ends_x[s], ends_y[s]
         around = 1 if rays.full_circle and last else 0  # the first beam comes after the last
-        for a, b, size in ((0, 1, last), (last, 0, around)):
-            before, after = kinds[a : a + size], kinds[b : b + size]
-            range_before, range_after = distance[a : a + size], distance[b : b + size]
-            from_x, from_y = x[a : a + size], y[a : a + size]
-            to_x, to_y = x[b : b + size], y[b : b + size]
-            rests, numbers = links[0, s, a : a + size], links[1, s, a : a + size]
-            steps_x, steps_y = links[2, s, a : a + size], links[3, s, a : a + size]
-            for i in range(size):
-                across, up = to_x[i] - from_x[i], to_y[i] - from_y[i]
+        for begin, to_next, size in ((0, 1, last), (last, -last, around)):
+            for k in range(begin, begin + size):
+                i, j = np.uint64(k), np.uint64(k + to_next)
+                across, up = ends_x[s, j] - ends_x[s, i], ends_y[s, j] - ends_y[s, i]
                 cells = max(abs(across), abs(up)) >> CELL_SHIFT
-                both_hit = (before[i] == HIT) & (after[i] == HIT)
-                apart = abs(range_before[i] - range_after[i])
-                slanted = (apart <= SLANT * range_before[i]) & (apart <= SLANT * range_after[i])
+                before, after = rays.kind[s, i], rays.kind[s, j]
+                range_before, range_after = rays.distance[s, i], rays.distance[s, j]
+                apart = abs(range_before - range_after)
+                slanted = (apart <= SLANT * range_before) & (apart <= SLANT * range_after)
+                both_hit = (before == HIT) & (after == HIT)
                 joined = both_hit & (slanted | (apart <= jump)) & (cells <= WIDEST_GAP)
-                both_free = (before[i] == FREE) & (after[i] == FREE)
+                both_free = (before == FREE) & (after == FREE)
                 drawn = min(cells, MOST_BETWEEN) if joined else 0
                 # Rounded down: half a unit keeps whole numbers from what rounding does.
                 share = 1.0 / (drawn + 1)
-                rests[i] = MOST_BETWEEN - drawn if joined | both_free else 0
-                numbers[i] = drawn
-                steps_x[i] = np.int32(np.floor((across + 0.5) * share))
-                steps_y[i] = np.int32(np.floor((up + 0.5) * share))
+                links[0, s, i] = MOST_BETWEEN - drawn if joined | both_free else 0
+                links[1, s, i] = drawn
+                links[2, s, i] = np.int32(np.floor((across + 0.5) * share))
+                links[3, s, i] = np.int32(np.floor((up + 0.5) * share))
         # So far a beam has in place of its weight what the pair of it and the next does not draw.
         rest = links[0, s, last]
         for b in range(count):
