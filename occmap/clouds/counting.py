@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable
+from hashlib import blake2b
 from threading import Lock
 from typing import NamedTuple, TypeAlias
 
@@ -28,8 +29,9 @@ SHORT_MM = 150
 
 
 def draw(stamp_ns: int) -> float:
-    """Draw a number from 0 to 1 by a stamp: it is as good as random, and always the same."""
-    return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
+    """Draw a number from 0 to 1 by a stamp, in step with nothing that comes again and again."""
+    digest = blake2b(stamp_ns.to_bytes(8, "little", signed=True), digest_size=8).digest()
+    return int.from_bytes(digest, "little") / 2**64
 
 
 Sensor: TypeAlias = tuple[str, str, str]
