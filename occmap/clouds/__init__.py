@@ -1,9 +1,10 @@
 """3D lidars and depth cameras: the ground below a drive, and what stands on it.
 
-Here is what a user may choose about them.
+Here is what a user may choose about them, and how some of many clouds are drawn.
 """
 
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 
 from occmap.choices import ABOVE_ZERO, check_bounds, option
@@ -74,3 +75,9 @@ class CloudOptions:
         """The evidence whose ground is taken; None: the ground is found."""
         name = self.ground or ""
         return Path(name) if name.endswith((".npz", ".zarr")) else None
+
+
+def draw(stamp_ns: int) -> float:
+    """Draw a number from 0 to 1 by a stamp, in step with nothing that comes again and again."""
+    digest = blake2b(stamp_ns.to_bytes(8, "little", signed=True), digest_size=8).digest()
+    return int.from_bytes(digest, "little") / 2**64

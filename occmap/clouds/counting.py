@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.cells import Ground
+from occmap.clouds import draw
 from occmap.clouds.kernels import heights
 from occmap.clouds.kernels.heights import Cloud, Histogram, list_clouds
 from occmap.clouds.kernels.laying import lay_cloud, lay_columns
@@ -27,11 +28,6 @@ SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
 
-def draw(stamp_ns: int) -> float:
-    """Draw a number from 0 to 1 by a stamp: it is as good as random, and always the same."""
-    return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
-
-
 Sensor: TypeAlias = tuple[str, str, str]
 """A log, a topic and a frame, which is "" where clouds are in the map already"""
 
@@ -43,7 +39,7 @@ class Counted(NamedTuple):
     paths: dict[Sensor, Int64]
     """(P, 3) where each sensor went (mm)"""
     sample: Float64
-    """(N, 3) where some of the points lie (m)"""
+    """(N, 4) where some of the points lie (m), and a number that each cloud has of its own"""
     drifts: dict[str, Drift]
     """By what heights are corrected, by log"""
 
@@ -90,7 +86,7 @@ class Counter:
                 table = grow_table(table, 2 * len(table.places))
             path.append(cloud.origin)
             if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
-                sample.append(sample_points(cloud))
+                sample.append(np.insert(sample_points(cloud), 3, draw(stamp_ns), axis=1))
         with self._lock:
             self._idle.append(table)
             frame = posed.batch.frame if posed.origin is None else ""
@@ -102,7 +98,7 @@ class Counter:
     def count(self) -> Counted:
         """Give what was counted."""
         paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._ways.items())}
-        sample = np.concatenate([np.zeros((0, 3)), *self._sample])
+        sample = np.concatenate([np.zeros((0, 4)), *self._sample])
         return Counted(add_tables(self._idle), paths, sample, {})
 
     @property
@@ -127,7 +123,7 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
     for each in known:
         paths |= each.paths
         drifts |= each.drifts
-    sample = np.concatenate([np.zeros((0, 3)), *(each.sample for each in known)])
+    sample = np.concatenate([np.zeros((0, 4)), *(each.sample for each in known)])
     table = add_tables([each.table for each in known])
     return Counted(table, dict(sorted(paths.items())), sample, drifts)
 

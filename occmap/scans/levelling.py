@@ -118,13 +118,16 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
     start, turned = place.position[0], place.rotation[0]
     if np.linalg.norm(counted.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
-    sample = (counted.sample - start) @ turned  # in the logs' own map
+    sample = (counted.sample[:, :3] - start) @ turned  # in the logs' own map
+    clouds = counted.sample[:, 3]
     for _ in range(LEVEL_ROUNDS):
         wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
             break
-        before, after = (measure_spread(sample @ tilt(it).rotation[0].T) for it in (level, wanted))
-        if after > before - SHARPER:
+        before, after = (
+            measure_walls(sample @ tilt(angles).rotation[0].T, clouds) for angles in (level, wanted)
+        )
+        if after.spread > before.spread - SHARPER or after.shared < before.shared:
             break
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
@@ -215,11 +218,33 @@ def keep_drifts(counted: Counted, options: BuildOptions, ground: Ground) -> Buil
     return BuildGround(ground, notes, options)
 
 
-def measure_spread(points: Float64) -> float:
-    """Measure over how many cells points (N, 3) spread (the entropy): upright walls fill few."""
-    _, many = np.unique(encode_cells(points[:, :2], UPRIGHT_CELL_M), return_counts=True)
-    share = many / many.sum()
-    return float(-(share * np.log(share)).sum())
+class Walls(NamedTuple):
+    """How sharp walls are, seen from above, in cells of two lattices."""
+
+    spread: float
+    """Over how many cells their points spread (the entropy): upright walls fill few"""
+    shared: float
+    """How many pairs of points of different clouds lie in one cell.
+
+    Where a robot climbs, the columns of its lidar's beams lean with it, and by itself each cloud is
+    sharper once they are upright, as its walls are not. What different clouds share is the walls.
+    """
+
+
+def measure_walls(points: Float64, clouds: Float64) -> Walls:
+    """Measure walls by points (N, 3) and the numbers of their clouds (N,)."""
+    # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
+    halves = points[:, :2], points[:, :2] + UPRIGHT_CELL_M / 2
+    numbers, cloud = np.unique(clouds, return_inverse=True)
+    spread, shared = 0.0, 0.0
+    for places in halves:
+        _, cell = np.unique(encode_cells(places, UPRIGHT_CELL_M), return_inverse=True)
+        piece, alone = np.unique(cell * len(numbers) + cloud, return_counts=True)
+        together = np.bincount(piece // max(len(numbers), 1), alone)
+        share = together / together.sum()
+        spread -= float((share * np.log(share)).sum()) / len(halves)
+        shared += float((together**2).sum()) - float((alone**2).sum())
+    return Walls(spread, shared)
 
 
 def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:

@@ -4,13 +4,13 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
 from occmap.cells import Evidence, Slices
+from occmap.clouds import draw
 from occmap.errors import MapError, name_log
 from occmap.evidence import list_misfit, make_empty
 from occmap.evidence.manifest import plan_manifest
@@ -111,15 +111,9 @@ class Standstill:
         counts = np.ones(len(stamps_ns), np.bool_)
         for at, (stamp_ns, long_s) in enumerate(zip(stamps_ns.tolist(), stood_s, strict=True)):
             is_late = not 0 <= stamp_ns - self._last_ns < long_s * 1e9 / FEWEST
-            counts[at] = is_late or mix(stamp_ns) * long_s < WHOLE_S
+            counts[at] = is_late or draw(stamp_ns) * long_s < WHOLE_S
             self._last_ns = stamp_ns if counts[at] else self._last_ns
         return counts
-
-
-def mix(stamp_ns: int) -> float:
-    """Make a number from 0 to 1 of a stamp, in step with nothing that comes again and again."""
-    digest = blake2b(stamp_ns.to_bytes(8, "little", signed=True), digest_size=8).digest()
-    return int.from_bytes(digest, "little") / 2**64
 
 
 def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:

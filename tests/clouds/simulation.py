@@ -99,6 +99,7 @@ def drive(
     mounts: Sequence[Float64] = (np.eye(3),),
     clouds: int = 30,
     sensor_m: float = SENSOR_M,
+    rays: Float64 | None = None,
 ) -> list[PosedScans]:
     """Drive through the middle of a room, with a sensor so high above its floor.
 
@@ -107,8 +108,10 @@ def drive(
     mounts
         How the sensor sits at each of as many moments of a cloud; the points are those of a level
         one, so that only their frame differs.
+    rays
+        Where it looks in the map (N, 3), if these are not those of `list_rays`.
     """
-    made, rays = [], list_rays()
+    made, rays = [], list_rays() if rays is None else rays
     for number, x in enumerate(np.linspace(0.8, 9.2, clouds)):
         origin = np.array([x, 3.03, sensor_m + float(room.floor(np.array(x)))])
         ends = room.cast(origin, rays)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground
-from occmap.clouds import CloudOptions, ground
+from occmap.clouds import CloudOptions, draw, ground
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD, Found
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
@@ -34,6 +34,13 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     low = np.array(heights) * BIN_MM
     assert len(heights) == found == many
     assert ((found_mm[:found] >= low) & (found_mm[:found] <= low + 1.5 * BIN_MM)).all()
+
+
+@pytest.mark.parametrize("step_ms", [50, 100, 200, 400, 800])
+def test_clouds_at_exact_steps_are_drawn_as_others_are(step_ms: int) -> None:
+    drawn = [draw(1_700_000_000_500_000_000 + k * step_ms * 1_000_000) for k in range(1000)]
+    shares = np.searchsorted(np.sort(drawn), np.linspace(0.05, 0.95, 19)) / len(drawn)
+    assert np.abs(shares - np.linspace(0.05, 0.95, 19)).max() < 0.05
 
 
 BLOCKS = growth.index_blocks(np.array([[0, 0]]))

@@ -28,6 +28,7 @@ from tests.clouds.simulation import (
     change_points,
     drive,
     find_ground,
+    list_rays,
     read_points,
     turn,
     write_leaning,
@@ -94,9 +95,19 @@ def test_a_map_that_does_not_begin_at_its_zero_knows_what_is_up() -> None:
     assert settle_ground(count(clouds), BuildOptions(), None).options == BuildOptions()
 
 
-def test_a_street_that_climbs_stays_as_it_is() -> None:
-    clouds = climb(drive(Room()), math.tan(math.radians(5)))
-    _, notes, options = settle_ground(count(clouds), BuildOptions(), None)
+def look_aside(degrees: float) -> list[PosedScans]:
+    """A few clouds of a hill, by a lidar that leans as the road does and sees the sides of it."""
+    rays, slope = list_rays(), math.tan(math.radians(degrees))
+    aside = rays[np.abs(rays[:, 1]) > np.abs(rays[:, 0])] @ turn(0, -degrees, 0).T
+    level = aside @ np.array([[1, 0, -slope], [0, 1, 0], [0, 0, 1]])  # as `climb` raises it
+    return climb(drive(Room(), clouds=6, rays=level), slope)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: climb(drive(Room()), math.tan(math.radians(5))), lambda: look_aside(2)]
+)
+def test_a_street_that_climbs_stays_as_it_is(make: Callable[[], list[PosedScans]]) -> None:
+    _, notes, options = settle_ground(count(make()), BuildOptions(), None)
     assert options == BuildOptions()
     assert len(notes) == 1
 
