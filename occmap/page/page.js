@@ -107,7 +107,6 @@
       document.body.dataset.layer = layer.key;
       if (!settled) {
         settled = true;
-        await Promise.all(Bokeh.index.roots.map(view => view.ready));
         requestAnimationFrame(() => requestAnimationFrame(settle));
       }
     });

@@ -89,10 +89,10 @@ class Shown:
         return self.browser.find_element(By.CSS_SELECTOR, selector).text
 
     def rest(self) -> None:
-        """Wait until what was asked for is painted: Bokeh's views say so."""
+        """Wait until what the page has drawn is painted, which Bokeh does by timers of its own."""
         self.browser.execute_async_script(
-            "const done = arguments[0], all = Bokeh.index.roots.map(each => each.ready);"
-            "Promise.all(all).then(() => requestAnimationFrame(() => requestAnimationFrame(done)))"
+            "const done = arguments[0]; setTimeout(() => requestAnimationFrame("
+            "() => requestAnimationFrame(() => done())), 120)"
         )
 
     def point_px(self, x: float, y: float) -> dict[str, str]:
