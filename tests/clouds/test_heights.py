@@ -254,6 +254,21 @@ def test_what_is_no_plane_does_not_go_on() -> None:
         assert ground.find_level_floor(blocks, np.where(part, level, NO_GROUND)) is None
 
 
+@pytest.mark.parametrize(("rise", "goes_on"), [(0, True), (18, True), (-30, True), (50, False)])
+def test_ground_goes_on_over_a_gap_as_it_rises_before_it(rise: int, goes_on: bool) -> None:
+    """By so many mm a column: in columns 0 to 20 of a row it is found, and 33 to 36 have peaks."""
+    level = {at: rise * at for at in range(64)}
+    first, many = np.arange(64 * 64, dtype=np.int32), lay(dict.fromkeys(range(33, 37), 1), 0)
+    peaks = growth.Peaks(first, many, lay(level), first + 1)
+    found = Found(lay({at: level[at] for at in range(21)}), *np.zeros((2, 64 * 64), np.int32))
+    queue = np.empty((2, 64 * 64), np.int64)
+
+    growth.grow_ground(BLOCKS, peaks, found, 16, 9, queue)
+
+    beyond = found.height[21:64] == lay(level)[21:64]
+    assert (21 + np.flatnonzero(beyond)).tolist() == goes_on * [33, 34, 35, 36]
+
+
 def test_levels_that_were_ground_are_kept_where_a_peak_still_shows_them() -> None:
     first, many = np.array([[0, 1, 3], [1, 2, 1]], np.int32)
     height, weight = np.array([[100, 148, 300, 500], [5, 7, 9, 4]], np.int32)

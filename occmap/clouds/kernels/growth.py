@@ -26,6 +26,8 @@ STEPPED = 3
 """Low things are looked for so far around a column (columns)"""
 SLOPE_MM, HIGH_MM = 0.12 * COLUMN_MM, 300
 """By so much one surface rises from column to column; what is so high is no low thing"""
+STEEPEST_MM = 0.3 * COLUMN_MM
+"""Over a gap it goes on rising by less from column to column"""
 BROAD = 10
 """A surface that goes on so far behind its brink is a level to drive on, and no pallet (columns)"""
 BRINK_MM, DROP_MM = 60, 80
@@ -185,8 +187,11 @@ def look_beside(
 
 
 @kernel
-def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
-    """The mean height (mm) of the nearest measured columns: those of one ring, up to `reach`."""
+def expect_level(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
+    """The height (mm) to expect of a column by the nearest measured ones, of a ring up to `reach`.
+
+    It is their mean. Over a gap each rises on as it does from the one twice as far.
+    """
     for ring in range(1, reach + 1):
         total, many = 0, 0
         for up in range(-ring, ring + 1):
@@ -196,6 +201,9 @@ def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
                 if near >= 0 and height[near] != NO_GROUND:
                     total += height[near]
                     many += 1
+                    far = find_near(blocks, at, 2 * up, 2 * right) if ring > 1 else -1
+                    rise = height[near] - height[far] if far >= 0 else 0
+                    total += rise if abs(rise) < STEEPEST_MM * ring else 0
         if many:
             return (2 * total + many) // (2 * many)
     return NO_GROUND
@@ -225,8 +233,8 @@ def grow_ground(
 ) -> int:
     """Let the ground grow, in rounds, to columns up to `reach` away; return to how many.
 
-    A column takes the peak with the most points within `STEP_MM` of the mean of those beside it;
-    where no column has peaks, it takes the mean.
+    A column takes the peak with the most points within `STEP_MM` of what those beside it let
+    expect; where no column has peaks, it takes that.
 
     Parameters
     ----------
@@ -244,8 +252,8 @@ def grow_ground(
     while begin < many and rounds > 0:
         for i in range(begin, many):
             at = queue[0, i]
-            mean = mean_beside(blocks, height, at, reach)
-            queue[1, i], weight[at] = find_peak(peaks, at, mean) if has_peaks else (mean, 0)
+            level = expect_level(blocks, height, at, reach)
+            queue[1, i], weight[at] = find_peak(peaks, at, level) if has_peaks else (level, 0)
         front = 0
         for i in range(begin, many):
             if queue[1, i] != NO_GROUND:
