@@ -54,6 +54,9 @@ _BY_SIZE = {12: 6, 15: 3, 17: 0, 18: 0}
 """By the power of ten of a whole number that is too large for seconds, which fit 64 bits only up to
 10^10: those of its unit in nanoseconds. Such are the times from 2001 to 2286 in milliseconds and in
 microseconds, and those in nanoseconds since 1973."""
+FAR_APART_NS = 1000 * 10**9
+"""Scans and poses that follow one another are not, but those of a clock in ns are, which is taken
+for one in ms, if they are more than a millisecond apart."""
 
 
 def parse_time(text: str, unit: int = SECONDS) -> int:
@@ -76,6 +79,22 @@ def parse_time(text: str, unit: int = SECONDS) -> int:
             return round(nanoseconds)
     name = "nanoseconds" if unit == NANOSECONDS else "seconds"
     raise ValueError(f"{shorten(text)} is not a time in {name}")
+
+
+def guess_unit(times: Sequence[str]) -> int:
+    """Tell the unit of times that follow one another, where none is stated: seconds or nanoseconds.
+
+    Whole numbers that are too large for seconds are nanoseconds since a computer was started, if
+    they are no times since 1970 in any unit, or would lie far apart.
+    """
+    if not times or not all(each.isdecimal() and len(each) > SECONDS + 1 for each in times):
+        return SECONDS
+    try:
+        steps = np.diff([parse_time(each) for each in times])
+    except ValueError:
+        return NANOSECONDS
+    is_far = len(steps) > 0 and np.median(np.abs(steps)) >= FAR_APART_NS
+    return NANOSECONDS if is_far else SECONDS
 
 
 def parse_number(text: str) -> float:
@@ -158,6 +177,10 @@ COLUMN_NAMES = {
     "frame": ("field.header.frame_id", "header.frame_id"),
 }
 """What other programs call a column; those of `rostopic echo -p` begin with `field.`"""
+RECEIPTS = ("time", "%time")
+"""The times of receipt, as bagpy and `rostopic echo -p` call them, beside the stamps of headers"""
+SAMPLED_ROWS = 100
+"""By so many rows it is told what the times of a table are"""
 _TIME = re.compile(r"^(?:.*\bstamp[./])?(n?)(?:ano)?(sec)s?$")
 """What ROS calls the two columns of a time: whole seconds, and nanoseconds to be added"""
 _TIME_UNIT = re.compile(r"\s*[\[(]([mun]s)[\])]$")
@@ -188,6 +211,32 @@ def split_header(text: str, separator: str | None) -> tuple[list[str], int]:
         if found and name not in names:
             names[names.index(found)] = name
     return [name.removeprefix("field.") for name in names], unit
+
+
+def _are_times(texts: Sequence[str]) -> bool:
+    """Whether all are times, and not all the same one."""
+    with suppress(ValueError):
+        return len({parse_time(each) for each in texts}) >= min(len(texts), 2)
+    return False
+
+
+def settle_times(
+    names: Sequence[str], unit: int, rows: Iterable[Sequence[str]]
+) -> tuple[list[str], int, str]:
+    """Settle by some rows of a table which of its columns is `stamp`, and in which unit.
+
+    Where the stamps of headers were never set, the times of receipt count, and a note says so.
+    """
+    sample = [dict(zip(names, map(str.strip, row), strict=False)) for row in rows]
+    stamps = [row.get("stamp", "") for row in sample]
+    is_zero = all(stamp and not stamp.strip("0.") for stamp in stamps)
+    is_set = not is_zero or any(row.get("stamp_nsec", "").strip("0") for row in sample)
+    receipt = next((name for name in RECEIPTS if name in names), "")
+    if sample and not is_set and _are_times([row.get(receipt, "") for row in sample]):
+        renamed = {"stamp": "", "stamp_nsec": "", receipt: "stamp"}
+        note = "the stamps of headers are all zero: the times of receipt count"
+        return [renamed.get(name, name) for name in names], STAMPS[receipt], note
+    return list(names), guess_unit(stamps) if unit == SECONDS else unit, ""
 
 
 FRAME_NAME = r"(?!(?:nan|inf)\b)[^\W\d][^,]*"

@@ -181,17 +181,20 @@ def _read_table(
         if len({tuple(re.findall(f",({values.FRAME_NAME})", text)) for _, text in lines}) > 1:
             fix = "keep those of one body, or record a bag"
             raise LogError("transforms between several frames", where=path, fix=fix)
+    sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
+    columns, unit, note = values.settle_times(form.columns, form.unit, sample)
+    form = form._replace(columns=columns, unit=unit)
     rows = list(_parse_lines(path, lines, form.parse))
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times = [stamp_ns for stamp_ns, _ in rows if stamp_ns is not None]
-    poses = np.array([numbers for _, numbers in rows])
+    poses, doubt = np.array([numbers for _, numbers in rows]), ""
     if poses.shape[1] < 7:
-        if doubt := values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9):
-            notes.append(f"{path}: {doubt}")
+        doubt = values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9)
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
+    notes += [f"{path}: {text}" for text in (note, doubt) if text]
     return times or None, poses
 
 
@@ -275,8 +278,9 @@ def _read_times(path: Path) -> list[int]:
     beside = path.parent / TIMES
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
-    fix = "a time in seconds stands in each line"
-    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_time, fix))
+    fix, lines = "a time in seconds stands in each line", _read_rows(beside)[0]
+    unit = values.guess_unit([text for _, text in lines[: values.SAMPLED_ROWS]])
+    return list(_parse_lines(beside, lines, partial(values.parse_time, unit=unit), fix))
 
 
 def _read_rows(path: Path) -> tuple[list[NumberedLine], list[str]]:

@@ -27,7 +27,7 @@ from occmap.readers.cloud_messages import make_cloud, tell_clouds
 from occmap.readers.decimals import NUMBER, parse_words
 from occmap.report import count, join_names
 from occmap.types import Cloud, Moments, UInt8
-from occmap.values import parse_time, shorten
+from occmap.values import guess_unit, parse_time, shorten
 
 
 class Points(NamedTuple):
@@ -370,6 +370,7 @@ def read_times(paths: Sequence[Path]) -> list[int]:
     if len(found) < len(paths):
         return []
     times = [f"{each[1]}.{each[2]}" if each[1] else each[3] for each in found]
+    unit = guess_unit(times)
     with suppress(ValueError):  # beyond 64 bits
-        return list(map(parse_time, times))
+        return [parse_time(each, unit) for each in times]
     return []

@@ -131,11 +131,15 @@ class CsvLog(TextLog):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        header, comments = self._find_header()
+        header, comments, sample = self._find_header()
         self._header_line = header.number
         separator = values.find_separator(header.text) or ","
         self.table = _TABLES.get(separator)
-        self._names, unit = split_names(header.text)
+        stated, unit = split_names(header.text)
+        rows = [line.text.split(separator) for line in sample if line.number > header.number]
+        self._names, unit, note = values.settle_times(stated, unit, rows)
+        if note:
+            self.notes.add(note)
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
         self._stated = {*self._names, *comments}
@@ -155,8 +159,8 @@ class CsvLog(TextLog):
         scans = sum(some.scans for some in self._survey(self.pick_scans))
         self.streams = [Stream(TOPIC, "csv", scans, Role.SCAN)]
 
-    def _find_header(self) -> tuple[Line, dict[str, Line]]:
-        """Find the header, and the comments near it that state constants."""
+    def _find_header(self) -> tuple[Line, dict[str, Line], list[Line]]:
+        """Find the header, the comments near it that state constants, and the first rows."""
         headings: list[Line] = []
         for block in read_blocks(self.path, self.notes):
             rows, more = _sort_lines(block)
@@ -172,7 +176,8 @@ class CsvLog(TextLog):
                 first = block.get_line(rows[0])
                 maybe = (first, *headings)  # numpy comments the header out
                 known = (it for it in maybe if is_header(it.text, constants))
-                return next(known, first), constants
+                sample = map(block.get_line, rows[: values.SAMPLED_ROWS])
+                return next(known, first), constants, list(sample)
         found = "; ".join(["no header row", *(note.text for note in self.notes)])
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 

@@ -68,6 +68,8 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         ("3,0,map,1,2,4,0,0,0.6,0.8\n", (1, 2, 4, *TURN)),
         ("3,0,odom,base_link,1.0,2.0,0.0,0.0,0.0,0.0,1.0,0.1,0.0\n", FLAT),
         ("time [ms],x,y,yaw\n3000.0,1,2,0\n", FLAT),
+        ("stamp,time,x,y,yaw\n0,3,1,2,0\n", FLAT),
+        ("Time,header.stamp.secs,header.stamp.nsecs,x,y,yaw\n3,0,0,1,2,0\n", FLAT),
         ("t_ns,qw,qx,qy,qz,tx_m,ty_m,tz_m\n3000000000,0.8,0,0,0.6,1,2,4\n", (1, 2, 4, *TURN)),
     ],
     ids=itertools.count(),
@@ -76,6 +78,18 @@ def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
     (sample,) = read(tmp_path, text)
     assert sample.stamp_ns == 3 * 10**9
     assert sample.pose == pytest.approx(pose)
+
+
+@pytest.mark.parametrize("since_boot", [10**10, 960 * 10**9, 1234567890123, 40000 * 10**9])
+def test_nanoseconds_since_the_start_of_a_computer(tmp_path: Path, since_boot: int) -> None:
+    """Whole milliseconds of 13 digits would lie hours apart."""
+    stamps = [since_boot, since_boot + 10**8 + 1]
+    samples = read(tmp_path, "".join(f"{stamp} 1 2 4 0 0 0.6 0.8\n" for stamp in stamps))
+    assert [sample.stamp_ns for sample in samples] == stamps
+    rows = "".join(f"{stamp},1\n" for stamp in stamps)
+    (tmp_path / "log.csv").write_text(f"# angle_min: 0\n# angle_increment: 1\nstamp,r0\n{rows}")
+    scans = open_log(tmp_path / "log.csv").scans(["scan"])
+    assert [scan.stamp_ns for scan in scans] == stamps
 
 
 @pytest.mark.parametrize(

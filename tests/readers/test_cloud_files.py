@@ -222,6 +222,8 @@ def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Pa
 def test_times_in_names(name: str, stamp_ns: int) -> None:
     assert cloud_folder.read_times([Path(name)]) == [stamp_ns]
     assert not cloud_folder.read_times([Path(name), Path("000123.bin")])
+    since_boot = [1234567890123, 1234667890123]  # ns
+    assert cloud_folder.read_times([Path(f"{it}.pcd") for it in since_boot]) == since_boot
 
 
 def test_files_of_nuscenes_have_five_floats_a_point(tmp_path: Path) -> None:
