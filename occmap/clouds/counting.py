@@ -23,7 +23,7 @@ FEWEST_CLOUDS = 100
 FIRST_SIZE = 1 << 14
 """Of a table, which grows"""
 UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
-"""About so many clouds, and points of each, show if walls stand upright"""
+"""So many clouds, and about so many points of each, show if walls stand upright"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
@@ -39,7 +39,7 @@ class Counted(NamedTuple):
     paths: dict[Sensor, Int64]
     """(P, 3) where each sensor went (mm)"""
     sample: Float64
-    """(N, 4) where some of the points lie (m), and a number that each cloud has of its own"""
+    """(N, 4) where some of the points lie (m), and what was drawn for their cloud"""
     drifts: dict[str, Drift]
     """By what heights are corrected, by log"""
 
@@ -58,15 +58,30 @@ class Counted(NamedTuple):
 class Counter:
     """Counts heights of points in columns; any number of threads may call `add`."""
 
-    def __init__(self, clouds: int, log: str = "", ground: Ground | None = None) -> None:
-        """Make one for a build of so many clouds, those of a log, that are laid on some ground."""
-        self._clouds, self._log = clouds, log
+    def __init__(
+        self,
+        clouds: int,
+        log: str = "",
+        ground: Ground | None = None,
+        upright: int = UPRIGHT_CLOUDS,
+    ) -> None:
+        """Make one for a build of so many clouds, those of a log, that are laid on some ground.
+
+        Parameters
+        ----------
+        upright
+            How many of them show if walls stand upright.
+        """
+        self._log, self._upright = log, upright
         self._floor = ground and lay_columns(ground)
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
         self._ways: defaultdict[Sensor, list[Int64]] = defaultdict(list)
         """(N, 4) where each sensor was (mm) and when (ns)"""
-        self._sample: list[Float64] = []
+        self._sample: defaultdict[float, list[Float64]] = defaultdict(list)
+        """Points of the clouds for which the lowest numbers were drawn"""
+        self._highest = 1.0
+        """Higher numbers are of no use"""
         self._lock = Lock()
 
     def wants(self, stamp_ns: int, points: int) -> bool:
@@ -77,7 +92,7 @@ class Counter:
         """Count the points of some clouds."""
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(FIRST_SIZE)
-        path, sample = [], []
+        path, sample = [], list[tuple[float, Float64]]()
         place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
@@ -85,20 +100,26 @@ class Counter:
             while (start := heights.count_heights(laid, table, start, place, listed)) < points:
                 table = grow_table(table, 2 * len(table.places))
             path.append(cloud.origin)
-            if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
-                sample.append(np.insert(sample_points(cloud), 3, draw(stamp_ns), axis=1))
+            if (number := draw(stamp_ns)) <= self._highest:
+                sample.append((number, np.insert(sample_points(cloud), 3, number, axis=1)))
         with self._lock:
             self._idle.append(table)
             frame = posed.batch.frame if posed.origin is None else ""
             sensor = self._log, posed.batch.topic, frame
             places = np.rint(np.array(path) * 1000).astype(np.int64)
             self._ways[sensor].append(np.insert(places, 3, posed.batch.stamp_ns, axis=1))
-            self._sample += sample
+            for number, part in sample:
+                self._sample[number].append(part)
+            for number in sorted(self._sample)[self._upright :]:
+                del self._sample[number]
+            if len(self._sample) == self._upright:
+                self._highest = max(self._sample)
 
     def count(self) -> Counted:
         """Give what was counted."""
         paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._ways.items())}
-        sample = np.concatenate([np.zeros((0, 4)), *self._sample])
+        parts = [part for alike in self._sample.values() for part in alike[:UPRIGHT_CLOUDS]]
+        sample = np.concatenate([np.zeros((0, 4)), *parts])
         return Counted(add_tables(self._idle), paths, sample, {})
 
     @property
@@ -124,6 +145,8 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
         paths |= each.paths
         drifts |= each.drifts
     sample = np.concatenate([np.zeros((0, 4)), *(each.sample for each in known)])
+    lowest = np.unique(sample[:, 3])[:UPRIGHT_CLOUDS]
+    sample = sample[sample[:, 3] <= lowest.max(initial=0.0)]
     table = add_tables([each.table for each in known])
     return Counted(table, dict(sorted(paths.items())), sample, drifts)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import FLAT
-from occmap.clouds.counting import Counted, Counter, join_counted
+from occmap.clouds.counting import UPRIGHT_CLOUDS, Counted, Counter, join_counted
 from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, name_log
 from occmap.evidence import refuse_other
@@ -258,10 +258,12 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
         On which they are laid first; None: they stay as they are.
     """
     log, posing = str(drive.log.path), drive.options.posing
+    share = count_scans(drive.log, drive.options.selection.topics) / max(clouds, 1)
+    upright = math.ceil(UPRIGHT_CLOUDS * share)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
-            counter = Counter(clouds, log, ground)
+            counter = Counter(clouds, log, ground, upright)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
                 for posed in drive.read(Tally(), counter.wants):
                     threads.give(posed)
