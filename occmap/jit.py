@@ -85,7 +85,7 @@ class Kernel:
         # What is for calls from Python and C would take a third of the time.
         unused = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
         options = {"error_model": "numpy", **unused, **self._options}
-        return load_numba().njit(pipeline_class=make_compiler(), **options)(self.py_func)
+        return load_numba().njit(**options)(self.py_func)
 
     def _load(self, kind: Any, values: list[Any]) -> Callable[[list[Any]], Any] | None:
         """Load the code for these types, or nothing.
@@ -153,47 +153,6 @@ def load_numba() -> Any:
     return numba
 
 
-@cache
-def make_compiler() -> Any:
-    """Make what compiles functions, and makes no machine code of those that they call.
-
-    By itself numba does, and optimises each three times over: a fifth of the time.
-    """
-    from numba.core import codegen, compiler, registry  # noqa: PLC0415  late, as numba
-
-    class Library(codegen.JITCodeLibrary):
-        """A function and what it calls."""
-
-        def _optimize_functions(self, module: Any) -> None:
-            module.data_layout = self.codegen._data_layout
-            passes, builder = self.codegen._function_pass_manager()
-            for function in module.functions:
-                if not function.is_declaration:
-                    passes.run(function, builder)
-
-        def finalize(self) -> None:
-            for library in dict.fromkeys(self._linking_libraries):
-                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-            passes, builder = self.codegen._module_pass_manager()
-            passes.run(self._final_module, builder)
-            self._finalize_dynamic_globals()
-            self._finalized = True
-
-    class Codegen(codegen.JITCPUCodegen):
-        _library_class = Library
-
-        def set_env(self, *_: Any) -> None:
-            """Do nothing: no code is run here."""
-
-    target = registry.cpu_target.target_context.subtarget(_internal_codegen=Codegen("occmap"))
-
-    class Compiler(compiler.Compiler):
-        def __init__(self, typing: Any, _: Any, *args: Any) -> None:
-            super().__init__(typing, target, *args)
-
-    return Compiler
-
-
 def to_numba(kind: Any) -> Any:
     """Find numba's type for an argument of this kind."""
     numba = load_numba()
@@ -217,12 +176,11 @@ def compile_function(dispatcher: Any, kind: Any) -> bytes:
     compiled = dispatcher.overloads[signature]
     returned = compiled.signature.return_type
     result = "".join(RESULTS[str(each)] for each in getattr(returned, "types", [returned]))
-    library = compiled.library
-    if struct.calcsize(result) > RESULT_BYTES or library.has_dynamic_globals:
+    if struct.calcsize(result) > RESULT_BYTES or compiled.library.has_dynamic_globals:
         # The one writes beyond its room; the other knows an array by where it is in this process.
         raise NotImplementedError(f"{compiled.fndesc.qualname}: its code cannot be kept")
     described = json.dumps([compiled.fndesc.llvm_func_name, result])
-    machine: bytes = library.codegen._tm.emit_object(library._final_module)
+    machine: bytes = compiled.library._get_compiled_object()
     if b"numba_" in machine:  # a helper, as of `array.reshape`, that a process without numba lacks
         raise NotImplementedError(f"{compiled.fndesc.qualname}: it calls a helper of numba")
     return described.encode() + b"\n" + machine

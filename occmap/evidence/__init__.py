@@ -151,8 +151,8 @@ MOST_TILES = 16
 FEWEST_HITS = 200.0
 """With fewer hits, less than a scan has, no note is given."""
 MOST_CONFLICT = 0.35
-"""Halves of a log contradict each other by at most 0.02 (clouds, a simulated office), 0.21 (real
-scans, corrected poses) and 0.24 (the raw odometry of a floor). Laid half a metre off, real scans do
+"""Parts of a log contradict each other by at most 0.02 (clouds, a simulated office) and 0.29 (real
+scans, also of raw odometry). Laid half a metre off, real scans do
 by 0.51 to 0.74, and clouds and the office, where most walls run that way, by 0.12 to 0.31; a metre
 and 11 degrees off, all do by 0.44 and more."""
 NEAR_M = 0.1
@@ -166,8 +166,8 @@ def list_misfit(
     if (share := measure_conflict(grid, others, model)) > MOST_CONFLICT:
         yield (
             f"does not fit {whom}: of the hits in cells that both saw, {share:.0%} lie where the "
-            "other saw free space; where their frames differ, `fit` lays one on the other as they "
-            "are merged, or with `resume`"
+            "other saw free space; where nothing was moved, their frames differ: `fit` lays one on "
+            "the other as they are merged, or with `resume`"
         )
 
 
@@ -181,8 +181,8 @@ def measure_conflict(grid: TileGrid, others: Mapping[Key, Tile], model: SensorMo
     -------
     share
         Of the hits of a part in cells that the other calls free or occupied, those in free cells
-        with nothing occupied within `NEAR_M`: the mean of both parts. 0 where they share too
-        little, or keep no hits.
+        with nothing occupied within `NEAR_M`: the mean of the parts that have hits enough there.
+        0 where they share too little, or keep no hits.
     """
     if grid.kind is not EvidenceKind.COUNTS:
         return 0.0
@@ -200,9 +200,8 @@ def measure_conflict(grid: TileGrid, others: Mapping[Key, Tile], model: SensorMo
                 near = sliding_window_view(near, 2 * reach + 1, axis).any(axis=-1)
             hits = part.tiles[key][0]
             sums[row] += hits[known].sum(), hits[free & ~near].sum()
-    if sums[:, 0].min() < FEWEST_HITS * grid.unit:
-        return 0.0
-    return float((sums[:, 1] / sums[:, 0]).mean())
+    hits, against = sums[sums[:, 0] >= FEWEST_HITS * grid.unit].T
+    return float((against / hits).mean()) if len(hits) else 0.0
 
 
 LEAST_STEADY = 0.4

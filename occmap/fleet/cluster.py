@@ -296,7 +296,7 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
     answers = cluster.ask(list_missing, paths)
     if missing := [each for each in answers if isinstance(each, list) and each]:
         found = f"is not there on {len(missing)} of {count(len(answers), 'worker')}"
-        raise FleetError(found, where=missing[0][0], fix="give its whole path, by which all see it")
+        raise FleetError(found, where=missing[0][0], fix="give a whole path that all of them share")
 
 
 def list_missing(paths: Sequence[Path]) -> list[Path]:

@@ -95,6 +95,13 @@ Pieces: TypeAlias = dict[Block, list[Piece]]
 """What was observed in each block"""
 
 
+UNREADABLE = (
+    *(OSError, EOFError, pickle.UnpicklingError),
+    *(ValueError, LookupError, ImportError, AttributeError),
+)
+"""A result is not there, or damaged, which pickle meets by many errors"""
+
+
 def once(task: Task[AnyJob, Result]) -> Task[AnyJob, Result]:
     """Let a task keep its result in the scratch folder, and read it from there the next time.
 
@@ -104,7 +111,7 @@ def once(task: Task[AnyJob, Result]) -> Task[AnyJob, Result]:
     @wraps(task)
     def do_once(setting: Setting, job: AnyJob) -> Result:
         stub = job.find_stub(setting.folder, task)
-        with suppress(OSError, EOFError, pickle.UnpicklingError):  # not there, or damaged
+        with suppress(*UNREADABLE):
             known: Result = pickle.loads(stub.read_bytes())
             return known
         result = task(setting, job)
@@ -212,16 +219,20 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
     ------
     MapError
         A run file is not there any more, or is not as it was written. It goes with the result that
-        tells of it, so that the same build makes both anew.
+        tells of it, as do all others that are not there, so that the same build makes them anew.
     """
+    pieces = list(pieces)
     for name, offset, size in pieces:
         try:
             with (folder / name).open("rb") as file:
                 file.seek(offset)
                 data = zstandard.decompress(file.read(size))
         except (OSError, zstandard.ZstdError) as error:
-            for left in folder.glob(f"{name.partition('.')[0]}.*"):
-                left.unlink(missing_ok=True)
+            gone = {each for each, *_ in pieces if not (folder / each).exists()}
+            gone |= {name} if isinstance(error, zstandard.ZstdError) else set()
+            for log in {each.partition(".")[0] for each in gone}:
+                for left in folder.glob(f"{log}.*"):
+                    left.unlink(missing_ok=True)
             fix = "type the same command: it makes that anew"
             raise MapError(f"cannot be read ({error})", where=folder / name, fix=fix) from None
         yield pickle.loads(data)

@@ -32,6 +32,7 @@ from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Better, Posing, find_better_mount, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
+from occmap.sensor.bands import BAND
 from occmap.types import PosedScans
 from occmap.values import DEGREES
 
@@ -273,8 +274,10 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
     """Say which ranges may not be measurements, or which of the robot itself."""
     for item in ranges.repeated:
         if not item.is_no_return:
-            share = f"{item.value:g} m is {item.share:.0%} of the ranges and may mean no return"
-            yield Concern(f"{share}, as `range_max={item.value:.9g}` takes it and all beyond")
+            found = f"{item.value:g} m is {item.share:.0%} of the ranges and may mean no return"
+            is_last = item.value > (1 - BAND) * ranges.largest
+            fix = f", as `range_max={item.value:.9g}` takes it"
+            yield Concern(found + fix * is_last)
     if ranges.body is not None:
         yield poses.warn_of_body(ranges.body)
     if ranges.measured:

@@ -94,7 +94,8 @@ def find_lists(words: Sequence[bytes], kind: LineType) -> tuple[Sequence[slice],
         lists.append(slice(at + 1, at + 1 + int(length)))
         at = lists[-1].stop
     if end - at != kind.behind:
-        raise ValueError(f"{end - at} numbers before the time where {kind.behind} belong")
+        found = f"{end - at} numbers before the time where {kind.behind} belong"
+        raise ValueError(f"{found}; a line ends in a time, a host and a second time")
     return lists, at
 
 

@@ -66,7 +66,10 @@ class Shown:
 
     def wait(self, expression: str) -> Any:
         """Wait until a JavaScript expression is true, and return it."""
-        return wait_until(lambda: self.run(f"return {expression}"), expression)
+        try:
+            return wait_until(lambda: self.run(f"return {expression}"), expression)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; it said {self.complaints}") from None
 
     @property
     def complaints(self) -> list[str]:
