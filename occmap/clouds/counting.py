@@ -78,8 +78,8 @@ class Counter:
         self._idle: list[Histogram] = []
         self._ways: defaultdict[Sensor, list[Int64]] = defaultdict(list)
         """(N, 4) where each sensor was (mm) and when (ns)"""
-        self._sample: defaultdict[float, list[Float64]] = defaultdict(list)
-        """Points of the clouds for which the lowest numbers were drawn"""
+        self._sample: defaultdict[float, list[Cloud]] = defaultdict(list)
+        """The clouds for which the lowest numbers were drawn"""
         self._highest = 1.0
         """Higher numbers are of no use"""
         self._lock = Lock()
@@ -92,7 +92,7 @@ class Counter:
         """Count the points of some clouds."""
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(FIRST_SIZE)
-        path, sample = [], list[tuple[float, Float64]]()
+        path, sample = [], list[tuple[float, Cloud]]()
         place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
@@ -101,15 +101,15 @@ class Counter:
                 table = grow_table(table, 2 * len(table.places))
             path.append(cloud.origin)
             if (number := draw(stamp_ns)) <= self._highest:
-                sample.append((number, np.insert(sample_points(cloud), 3, number, axis=1)))
+                sample.append((number, cloud))
         with self._lock:
             self._idle.append(table)
             frame = posed.batch.frame if posed.origin is None else ""
             sensor = self._log, posed.batch.topic, frame
             places = np.rint(np.array(path) * 1000).astype(np.int64)
             self._ways[sensor].append(np.insert(places, 3, posed.batch.stamp_ns, axis=1))
-            for number, part in sample:
-                self._sample[number].append(part)
+            for number, cloud in sample:
+                self._sample[number].append(cloud)
             for number in sorted(self._sample)[self._upright :]:
                 del self._sample[number]
             if len(self._sample) == self._upright:
@@ -118,8 +118,16 @@ class Counter:
     def count(self) -> Counted:
         """Give what was counted."""
         paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._ways.items())}
-        parts = [part for alike in self._sample.values() for part in alike[:UPRIGHT_CLOUDS]]
-        sample = np.concatenate([np.zeros((0, 4)), *parts])
+        sample = np.concatenate(
+            [
+                np.zeros((0, 4)),
+                *(
+                    np.insert(sample_points(cloud), 3, number, axis=1)
+                    for number, alike in self._sample.items()
+                    for cloud in alike[:UPRIGHT_CLOUDS]
+                ),
+            ]
+        )
         return Counted(add_tables(self._idle), paths, sample, {})
 
     @property
@@ -145,7 +153,8 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
         paths |= each.paths
         drifts |= each.drifts
     sample = np.concatenate([np.zeros((0, 4)), *(each.sample for each in known)])
-    lowest = np.unique(sample[:, 3])[:UPRIGHT_CLOUDS]
+    begins = np.diff(sample[:, 3], prepend=-1.0) != 0  # points of a cloud follow one another
+    lowest = np.unique(sample[begins, 3])[:UPRIGHT_CLOUDS]
     sample = sample[sample[:, 3] <= lowest.max(initial=0.0)]
     table = add_tables([each.table for each in known])
     return Counted(table, dict(sorted(paths.items())), sample, drifts)

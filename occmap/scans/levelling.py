@@ -232,19 +232,24 @@ class Walls(NamedTuple):
 
 
 def measure_walls(points: Float64, clouds: Float64) -> Walls:
-    """Measure walls by points (N, 3) and the numbers of their clouds (N,)."""
+    """Measure walls by points (N, 3) and the numbers of their clouds (N,), one after the other."""
+    begins = np.flatnonzero(np.diff(clouds)) + 1
     # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
     halves = points[:, :2], points[:, :2] + UPRIGHT_CELL_M / 2
-    numbers, cloud = np.unique(clouds, return_inverse=True)
     spread, shared = 0.0, 0.0
     for places in halves:
-        _, cell = np.unique(encode_cells(places, UPRIGHT_CELL_M), return_inverse=True)
-        piece, alone = np.unique(cell * len(numbers) + cloud, return_counts=True)
-        together = np.bincount(piece // max(len(numbers), 1), alone)
+        cells = encode_cells(places, UPRIGHT_CELL_M)
+        together = count_alike(cells)
         share = together / together.sum()
         spread -= float((share * np.log(share)).sum()) / len(halves)
-        shared += float((together**2).sum()) - float((alone**2).sum())
+        alone = sum(float((count_alike(each) ** 2).sum()) for each in np.split(cells, begins))
+        shared += float((together**2).sum()) - alone
     return Walls(spread, shared)
+
+
+def count_alike(cells: Int64) -> Int64:
+    """Count how many points lie in each cell."""
+    return np.asarray(np.unique(cells, return_counts=True)[1])
 
 
 def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
