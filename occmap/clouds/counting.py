@@ -109,7 +109,8 @@ class Counter:
             places = np.rint(np.array(path) * 1000).astype(np.int64)
             self._ways[sensor].append(np.insert(places, 3, posed.batch.stamp_ns, axis=1))
             for number, cloud in sample:
-                self._sample[number].append(cloud)
+                # A log whose clouds have one stamp, and so one number, must not be held whole.
+                self._sample[number] = [*self._sample[number], cloud][:UPRIGHT_CLOUDS]
             for number in sorted(self._sample)[self._upright :]:
                 del self._sample[number]
             if len(self._sample) == self._upright:
@@ -118,16 +119,9 @@ class Counter:
     def count(self) -> Counted:
         """Give what was counted."""
         paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._ways.items())}
-        sample = np.concatenate(
-            [
-                np.zeros((0, 4)),
-                *(
-                    np.insert(sample_points(cloud), 3, number, axis=1)
-                    for number, alike in self._sample.items()
-                    for cloud in alike[:UPRIGHT_CLOUDS]
-                ),
-            ]
-        )
+        chosen = ((number, each) for number, alike in self._sample.items() for each in alike)
+        parts = [np.insert(sample_points(cloud), 3, number, axis=1) for number, cloud in chosen]
+        sample = np.concatenate([np.zeros((0, 4)), *parts])
         return Counted(add_tables(self._idle), paths, sample, {})
 
     @property

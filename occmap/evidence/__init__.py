@@ -152,9 +152,9 @@ FEWEST_HITS = 200.0
 """With fewer hits, less than a scan has, no note is given."""
 MOST_CONFLICT = 0.35
 """Parts of a log contradict each other by at most 0.02 (clouds, a simulated office) and 0.29 (real
-scans, also of raw odometry). Laid half a metre off, real scans do
-by 0.51 to 0.74, and clouds and the office, where most walls run that way, by 0.12 to 0.31; a metre
-and 11 degrees off, all do by 0.44 and more."""
+scans, also of raw odometry). Laid half a metre off, real scans do by 0.51 to 0.74, and clouds and
+the office, where most walls run that way, by 0.12 to 0.31; a metre and 11 degrees off, all do by
+0.44 and more."""
 NEAR_M = 0.1
 """Walls of two sessions lie so far apart where poses are as good as a map needs."""
 

@@ -264,7 +264,7 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     """
     log, posing = str(drive.log.path), drive.options.posing
     share = count_scans(drive.log, drive.options.selection.topics) / max(clouds, 1)
-    upright = math.ceil(UPRIGHT_CLOUDS * share)
+    upright = max(math.ceil(UPRIGHT_CLOUDS * share), 1)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
