@@ -77,7 +77,7 @@ class CloudOptions:
         return Path(name) if name.endswith((".npz", ".zarr")) else None
 
 
-def draw(stamp_ns: int) -> float:
-    """Draw a number from 0 to 1 by a stamp, in step with nothing that comes again and again."""
-    digest = blake2b(stamp_ns.to_bytes(8, "little", signed=True), digest_size=8).digest()
+def draw(number: int) -> float:
+    """Draw from 0 to 1 by a stamp or a place, in step with nothing that comes again and again."""
+    digest = blake2b((number % 2**64).to_bytes(8, "little"), digest_size=8).digest()
     return int.from_bytes(digest, "little") / 2**64

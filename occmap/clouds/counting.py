@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable
+from operator import itemgetter
 from threading import Lock
 from typing import NamedTuple, TypeAlias
 
@@ -24,12 +25,18 @@ FIRST_SIZE = 1 << 14
 """Of a table, which grows"""
 UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
 """So many clouds, and about so many points of each, show if walls stand upright"""
+PLACE_MM, AREA_MM = 1000, 30_000
+"""Clouds of one square see walls alike, so one of them is enough; those of one area see the same"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
 
 Sensor: TypeAlias = tuple[str, str, str]
 """A log, a topic and a frame, which is "" where clouds are in the map already"""
+Drawn: TypeAlias = tuple[float, float]
+"""Numbers for the area, and for the square in it, where a cloud was made"""
+View: TypeAlias = tuple[int, str, str, str, int, int, int]
+"""When a cloud was made (ns), by which sensor, and where that was (mm)"""
 
 
 class Counted(NamedTuple):
@@ -38,8 +45,8 @@ class Counted(NamedTuple):
     table: Histogram
     paths: dict[Sensor, Int64]
     """(P, 3) where each sensor went (mm)"""
-    sample: Float64
-    """(N, 4) where some of the points lie (m), and what was drawn for their cloud"""
+    views: dict[Drawn, Float64]
+    """(N, 3) where some points of a few clouds lie (m)"""
     drifts: dict[str, Drift]
     """By what heights are corrected, by log"""
 
@@ -59,29 +66,23 @@ class Counter:
     """Counts heights of points in columns; any number of threads may call `add`."""
 
     def __init__(
-        self,
-        clouds: int,
-        log: str = "",
-        ground: Ground | None = None,
-        upright: int = UPRIGHT_CLOUDS,
+        self, clouds: int, log: str = "", ground: Ground | None = None, views: int = UPRIGHT_CLOUDS
     ) -> None:
         """Make one for a build of so many clouds, those of a log, that are laid on some ground.
 
         Parameters
         ----------
-        upright
+        views
             How many of them show if walls stand upright.
         """
-        self._log, self._upright = log, upright
+        self._log, self._most_views = log, views
         self._floor = ground and lay_columns(ground)
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
-        self._ways: defaultdict[Sensor, list[Int64]] = defaultdict(list)
-        """(N, 4) where each sensor was (mm) and when (ns)"""
-        self._sample: defaultdict[float, list[Cloud]] = defaultdict(list)
-        """The clouds for which the lowest numbers were drawn"""
-        self._highest = 1.0
-        """Higher numbers are of no use"""
+        self._ways: defaultdict[Sensor, list[tuple[int, int, int, int]]] = defaultdict(list)
+        """Where each sensor was (mm), and when (ns)"""
+        self._views: dict[Drawn, tuple[View, Cloud]] = {}
+        """The earliest clouds of those squares for which the lowest numbers were drawn"""
         self._lock = Lock()
 
     def wants(self, stamp_ns: int, points: int) -> bool:
@@ -92,43 +93,41 @@ class Counter:
         """Count the points of some clouds."""
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(FIRST_SIZE)
-        path, sample = [], list[tuple[float, Cloud]]()
+        sensor = self._log, posed.batch.topic, posed.batch.frame if posed.origin is None else ""
         place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
             while (start := heights.count_heights(laid, table, start, place, listed)) < points:
                 table = grow_table(table, 2 * len(table.places))
-            path.append(cloud.origin)
-            if (number := draw(stamp_ns)) <= self._highest:
-                sample.append((number, cloud))
+            self._see(sensor, stamp_ns, cloud)
         with self._lock:
             self._idle.append(table)
-            frame = posed.batch.frame if posed.origin is None else ""
-            sensor = self._log, posed.batch.topic, frame
-            places = np.rint(np.array(path) * 1000).astype(np.int64)
-            self._ways[sensor].append(np.insert(places, 3, posed.batch.stamp_ns, axis=1))
-            for number, cloud in sample:
-                # A log whose clouds have one stamp, and so one number, must not be held whole.
-                self._sample[number] = [*self._sample[number], cloud][:UPRIGHT_CLOUDS]
-            for number in sorted(self._sample)[self._upright :]:
-                del self._sample[number]
-            if len(self._sample) == self._upright:
-                self._highest = max(self._sample)
+
+    def _see(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
+        """Keep where a cloud was made, and the cloud if it may show whether walls stand upright."""
+        x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
+        area, square = (draw((x // side << 32) + y // side) for side in (AREA_MM, PLACE_MM))
+        view = (stamp_ns, *sensor, x, y, z), cloud
+        with self._lock:
+            self._ways[sensor].append((x, y, z, stamp_ns))
+            # The least, not the first: threads hand them over in any order.
+            known = self._views.get((area, square), view)
+            self._views[area, square] = min(known, view, key=itemgetter(0))
+            if len(self._views) > self._most_views:
+                del self._views[max(self._views)]
 
     def count(self) -> Counted:
         """Give what was counted."""
-        paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._ways.items())}
-        chosen = ((number, each) for number, alike in self._sample.items() for each in alike)
-        parts = [np.insert(sample_points(cloud), 3, number, axis=1) for number, cloud in chosen]
-        sample = np.concatenate([np.zeros((0, 4)), *parts])
-        return Counted(add_tables(self._idle), paths, sample, {})
+        paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
+        views = {drawn: sample_points(cloud) for drawn, (_, cloud) in self._views.items()}
+        return Counted(add_tables(self._idle), paths, views, {})
 
     @property
     def way(self) -> Int64:
         """(N, 4) where the sensor with most clouds was (mm), and when (ns)."""
-        ways = [np.concatenate(parts) for _, parts in sorted(self._ways.items())]
-        return max(ways, key=len, default=np.zeros((0, 4), np.int64))
+        ways = (way for _, way in sorted(self._ways.items()))
+        return np.array(max(ways, key=len, default=[]), np.int64).reshape(-1, 4)
 
 
 def count_clouds(clouds: Iterable[PosedScans], ground: Ground | None = None) -> Counted:
@@ -142,16 +141,14 @@ def count_clouds(clouds: Iterable[PosedScans], ground: Ground | None = None) -> 
 
 def join_counted(parts: Iterable[Counted]) -> Counted:
     """Add up what was counted of different logs, maybe by several processes."""
-    paths, drifts, known = dict[Sensor, Int64](), dict[str, Drift](), list(parts)
+    paths, views, drifts = dict[Sensor, Int64](), dict[Drawn, Float64](), dict[str, Drift]()
+    known = sorted(parts, key=lambda each: list(each.paths))  # in one order, however they come
     for each in known:
         paths |= each.paths
+        views = dict(sorted((each.views | views).items())[:UPRIGHT_CLOUDS])
         drifts |= each.drifts
-    sample = np.concatenate([np.zeros((0, 4)), *(each.sample for each in known)])
-    begins = np.diff(sample[:, 3], prepend=-1.0) != 0  # points of a cloud follow one another
-    lowest = np.unique(sample[begins, 3])[:UPRIGHT_CLOUDS]
-    sample = sample[sample[:, 3] <= lowest.max(initial=0.0)]
     table = add_tables([each.table for each in known])
-    return Counted(table, dict(sorted(paths.items())), sample, drifts)
+    return Counted(table, dict(sorted(paths.items())), views, drifts)
 
 
 def make_table(size: int) -> Histogram:
@@ -178,16 +175,18 @@ def add_tables(tables: Iterable[Histogram]) -> Histogram:
 
 
 def sample_points(cloud: Cloud) -> Float64:
-    """Place some points (N, 3) of a cloud, those that are finite (m)."""
+    """Place some points (N, 3) of a cloud, those that came back (m)."""
     points, pose = heights.pose_points(cloud, UPRIGHT_POINTS)
     with np.errstate(invalid="ignore"):
-        place = np.einsum("nij,nj->ni", pose[:, :, :3], points) + pose[:, :, 3]
-    return np.asarray(place[np.isfinite(place).all(axis=1)])
+        apart = np.abs(points).sum(axis=1)
+        is_real = (apart > 0) & (apart < heights.FARTHEST_M)
+    points, pose = points[is_real], pose[is_real]
+    return np.asarray(np.einsum("nij,nj->ni", pose[:, :, :3], points) + pose[:, :, 3])
 
 
-def thin_path(*parts: Int64) -> Int64:
+def thin_path(way: Int64) -> Int64:
     """Take one place of a sensor (N, 3) of each column and height, in ascending order (mm)."""
     # Of several the least counts, not the first: threads hand them over in any order.
-    every = np.unique(np.concatenate(parts)[:, :3], axis=0)
+    every = np.unique(way[:, :3], axis=0)
     _, first = np.unique(every // SHORT_MM, axis=0, return_index=True)
     return every[first]

@@ -5,7 +5,7 @@ This module is loaded for clouds alone: it brings numba, which takes longer than
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -118,16 +118,23 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
     start, turned = place.position[0], place.rotation[0]
     if np.linalg.norm(counted.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
-    sample = (counted.sample[:, :3] - start) @ turned  # in the logs' own map
-    clouds = counted.sample[:, 3]
+    views = [(each - start) @ turned for each in counted.views.values()]  # in the logs' own map
     for _ in range(LEVEL_ROUNDS):
         wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
             break
         before, after = (
-            measure_walls(sample @ tilt(angles).rotation[0].T, clouds) for angles in (level, wanted)
+            measure_walls([each @ tilt(angles).rotation[0].T for each in views])
+            for angles in (level, wanted)
         )
-        if after.spread > before.spread - SHARPER or after.shared < before.shared:
+        if after.spread > before.spread - SHARPER or after.shared <= before.shared:
+            if not after.shared:
+                found.notes.append(
+                    "the floor leans by {:.1f} degrees, and clouds from one place do not show if "
+                    "the walls do: `level=({:g},{:g})` lays it flat".format(
+                        math.hypot(*wanted), *wanted
+                    )
+                )
             break
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
@@ -231,18 +238,16 @@ class Walls(NamedTuple):
     """
 
 
-def measure_walls(points: Float64, clouds: Float64) -> Walls:
-    """Measure walls by points (N, 3) and the numbers of their clouds (N,), one after the other."""
-    begins = np.flatnonzero(np.diff(clouds)) + 1
-    # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
-    halves = points[:, :2], points[:, :2] + UPRIGHT_CELL_M / 2
+def measure_walls(views: Sequence[Float64]) -> Walls:
+    """Measure walls by points (N, 3) of clouds from different places."""
     spread, shared = 0.0, 0.0
-    for places in halves:
-        cells = encode_cells(places, UPRIGHT_CELL_M)
-        together = count_alike(cells)
+    # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
+    for aside in (0.0, UPRIGHT_CELL_M / 2):
+        cells = [encode_cells(points[:, :2] + aside, UPRIGHT_CELL_M) for points in views]
+        together = count_alike(np.concatenate(cells))
         share = together / together.sum()
-        spread -= float((share * np.log(share)).sum()) / len(halves)
-        alone = sum(float((count_alike(each) ** 2).sum()) for each in np.split(cells, begins))
+        spread -= float((share * np.log(share)).sum()) / 2
+        alone = sum(float((count_alike(each) ** 2).sum()) for each in cells)
         shared += float((together**2).sum()) - alone
     return Walls(spread, shared)
 
@@ -264,11 +269,11 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     """
     log, posing = str(drive.log.path), drive.options.posing
     share = count_scans(drive.log, drive.options.selection.topics) / max(clouds, 1)
-    upright = max(math.ceil(UPRIGHT_CLOUDS * share), 1)
+    views = max(math.ceil(UPRIGHT_CLOUDS * share), 1)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
-            counter = Counter(clouds, log, ground, upright)
+            counter = Counter(clouds, log, ground, views)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
                 for posed in drive.read(Tally(), counter.wants):
                     threads.give(posed)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -103,13 +104,40 @@ def look_aside(degrees: float) -> list[PosedScans]:
     return climb(drive(Room(), clouds=6, rays=level), slope)
 
 
+def wait(clouds: list[PosedScans]) -> list[PosedScans]:
+    """The same, by a robot that stood for fourteen clouds, with returns that are zero, and went."""
+    seen = read_points(clouds[0])
+    lost = change_points(clouds[0], np.where(np.arange(len(seen))[:, None] % 3, seen, 0))
+    batches = [replace(lost.batch, stamp_ns=lost.batch.stamp_ns - n) for n in range(1, 15)]
+    return [*(replace(lost, batch=batch) for batch in batches), *clouds]
+
+
 @pytest.mark.parametrize(
-    "make", [lambda: climb(drive(Room()), math.tan(math.radians(5))), lambda: look_aside(2)]
+    "make",
+    [
+        lambda: climb(drive(Room()), math.tan(math.radians(5))),
+        lambda: look_aside(2),
+        lambda: wait(look_aside(2)),
+    ],
 )
 def test_a_street_that_climbs_stays_as_it_is(make: Callable[[], list[PosedScans]]) -> None:
     _, notes, options = settle_ground(count(make()), BuildOptions(), None)
     assert options == BuildOptions()
     assert len(notes) == 1
+
+
+def test_one_place_does_not_show_if_walls_lean_and_a_user_may_say_it() -> None:
+    clouds = wait(lean(drive(Room()), turn(3, 0, 0)))[:14]
+    _, notes, options = settle_ground(count(clouds), BuildOptions(), None)
+    assert options == BuildOptions()
+    assert re.search(r"leans by (2\.[7-9]|3\.\d) degrees.*`level=\(-", notes[-1])
+
+
+def test_clouds_that_show_walls_do_not_depend_on_their_order() -> None:
+    clouds = wait(lean(drive(Room()), turn(3, 0, 0)))
+    views, seen = count_clouds(clouds[::-1]).views, count_clouds(clouds).views
+    assert views.keys() == seen.keys()
+    assert all(np.array_equal(views[drawn], seen[drawn]) for drawn in seen)
 
 
 def test_a_floor_without_walls_does_not_tell_if_it_climbs() -> None:
