@@ -38,8 +38,8 @@ class Counted(NamedTuple):
     table: Histogram
     paths: dict[Sensor, Int64]
     """(P, 3) where each sensor went (mm)"""
-    sample: Float64
-    """(N, 4) where some of the points lie (m), and what was drawn for their cloud"""
+    sample: list[tuple[float, Float64]]
+    """What was drawn for some of the clouds, and where (N, 3) points of each lie (m)"""
     drifts: dict[str, Drift]
     """By what heights are corrected, by log"""
 
@@ -80,8 +80,8 @@ class Counter:
         """(N, 4) where each sensor was (mm) and when (ns)"""
         self._sample: defaultdict[float, list[Cloud]] = defaultdict(list)
         """The clouds for which the lowest numbers were drawn"""
-        self._highest = 1.0
-        """Higher numbers are of no use"""
+        self._highest = 1.0 if ground is None else -1.0
+        """Higher numbers are of no use, nor any where the map is laid flat already"""
         self._lock = Lock()
 
     def wants(self, stamp_ns: int, points: int) -> bool:
@@ -119,9 +119,8 @@ class Counter:
     def count(self) -> Counted:
         """Give what was counted."""
         paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._ways.items())}
-        chosen = ((number, each) for number, alike in self._sample.items() for each in alike)
-        parts = [np.insert(sample_points(cloud), 3, number, axis=1) for number, cloud in chosen]
-        sample = np.concatenate([np.zeros((0, 4)), *parts])
+        alike = self._sample.items()
+        sample = [(number, np.concatenate([*map(sample_points, some)])) for number, some in alike]
         return Counted(add_tables(self._idle), paths, sample, {})
 
     @property
@@ -146,10 +145,9 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
     for each in known:
         paths |= each.paths
         drifts |= each.drifts
-    sample = np.concatenate([np.zeros((0, 4)), *(each.sample for each in known)])
-    begins = np.diff(sample[:, 3], prepend=-1.0) != 0  # points of a cloud follow one another
-    lowest = np.unique(sample[begins, 3])[:UPRIGHT_CLOUDS]
-    sample = sample[sample[:, 3] <= lowest.max(initial=0.0)]
+    sample = [some for each in known for some in each.sample]
+    lowest = sorted({number for number, _ in sample})[:UPRIGHT_CLOUDS]
+    sample = [some for some in sample if some[0] in lowest]
     table = add_tables([each.table for each in known])
     return Counted(table, dict(sorted(paths.items())), sample, drifts)
 

@@ -85,8 +85,8 @@ def derive_ground(
     """
     columns = read_columns(counted.table, counted.path, known)
     blocks = columns.blocks
-    apart = np.abs(counted.sample[:, 2] - counted.path[:1, 2] / 1000)
-    if not columns.filled and (apart > heights.FAR_M).sum() > len(apart) / 2:
+    apart = [np.abs(each[:, 2] - counted.path[0, 2] / 1000) for _, each in counted.sample]
+    if not columns.filled and apart and np.median(np.concatenate(apart)) > heights.FAR_M:
         raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
     seats = list_seats(columns, counted.paths, options.sensor_height)
     stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])

@@ -5,7 +5,7 @@ This module is loaded for clouds alone: it brings numba, which takes longer than
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -22,12 +22,11 @@ from occmap.options import BuildOptions
 from occmap.posing import Drift, measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.report import Note, join_names
-from occmap.scans import encode_cells
 from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int64
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int32, Int64
 
 LEAST_LEAN_DEG = 1.0
 """Walls of a map that leans by less are sharp enough."""
@@ -118,14 +117,13 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
     start, turned = place.position[0], place.rotation[0]
     if np.linalg.norm(counted.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
-    sample = (counted.sample[:, :3] - start) @ turned  # in the logs' own map
-    clouds = counted.sample[:, 3]
+    clouds = [points - start for _, points in counted.sample]
     for _ in range(LEVEL_ROUNDS):
         wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
             break
         before, after = (
-            measure_walls(sample @ tilt(angles).rotation[0].T, clouds) for angles in (level, wanted)
+            measure_walls(clouds, turned @ tilt(angles).rotation[0].T) for angles in (level, wanted)
         )
         if after.spread > before.spread - SHARPER or after.shared < before.shared:
             break
@@ -231,25 +229,29 @@ class Walls(NamedTuple):
     """
 
 
-def measure_walls(points: Float64, clouds: Float64) -> Walls:
-    """Measure walls by points (N, 3) and the numbers of their clouds (N,), one after the other."""
-    begins = np.flatnonzero(np.diff(clouds)) + 1
-    # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
-    halves = points[:, :2], points[:, :2] + UPRIGHT_CELL_M / 2
+def measure_walls(clouds: Sequence[Float64], turned: Float64) -> Walls:
+    """Measure walls by points (N, 3) of each cloud, in a map (3, 3) that is turned in theirs."""
+    # Without their heights a product is so small that BLAS waits for no other thread.
+    places = [points @ turned[:, :2] / UPRIGHT_CELL_M for points in clouds]
     spread, shared = 0.0, 0.0
-    for places in halves:
-        cells = encode_cells(places, UPRIGHT_CELL_M)
-        together = count_alike(cells)
+    # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
+    for aside in (0.0, 0.5):
+        seen = [np.unique(number_cells(each + aside), return_counts=True) for each in places]
+        cells, many = (np.concatenate(each) for each in zip(*seen, strict=True))
+        together = np.bincount(np.unique(cells, return_inverse=True)[1], many)
         share = together / together.sum()
-        spread -= float((share * np.log(share)).sum()) / len(halves)
-        alone = sum(float((count_alike(each) ** 2).sum()) for each in np.split(cells, begins))
-        shared += float((together**2).sum()) - alone
+        spread -= float((share * np.log(share)).sum()) / 2
+        shared += float((together**2).sum() - (many**2).sum())
     return Walls(spread, shared)
 
 
-def count_alike(cells: Int64) -> Int64:
-    """Count how many points lie in each cell."""
-    return np.asarray(np.unique(cells, return_counts=True)[1])
+def number_cells(places: Float64) -> Int32:
+    """Number the cells that places (N, 2) lie in, alike where these are 2^16 cells apart.
+
+    Numbers of 32 bits are sorted in a third of the time.
+    """
+    cells = np.rint(np.clip(places, -(2**30), 2**30)).astype(np.int32)
+    return cells.astype(np.int16).view(np.int32).ravel()
 
 
 def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
