@@ -75,7 +75,9 @@ class Counter:
         views
             How many of them show if walls stand upright.
         """
-        self._log, self._most_views = log, views
+        self._log = log
+        # Where the map is laid flat already, no walls are asked for.
+        self._most_views = 0 if ground else views
         self._floor = ground and lay_columns(ground)
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []

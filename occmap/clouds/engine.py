@@ -1,9 +1,7 @@
 """The engine of clouds: hits and misses of cells, cloud by cloud, over ground that is known."""
 
 import math
-from collections.abc import Sequence
 from functools import partial
-from itertools import groupby
 
 import numpy as np
 
@@ -59,11 +57,11 @@ class Sheet:
         """How many tiles it has."""
         return int(self.canvas.used[0])
 
-    def reach(self, clouds: Sequence[Cloud], farthest: float) -> CellBox:
-        """The box of tiles around some sensors, up to so far away or up to the farthest point."""
-        origins = np.array([cloud.origin[:2] for cloud in clouds])
-        metres = min(max(map(find_farthest, clouds)), farthest)
-        return self.box.clip(self._lattice.enclose(origins, metres).align(TILE).shrink(TILE))
+    def reach(self, cloud: Cloud, farthest: float) -> CellBox:
+        """The box of tiles around a sensor, up to so far away or up to the farthest point."""
+        metres = min(find_farthest(cloud), farthest)
+        around = self._lattice.enclose(cloud.origin[None, :2], metres)
+        return self.box.clip(around.align(TILE).shrink(TILE))
 
     def has_room(self, box: CellBox) -> bool:
         """Whether it has room for the tiles of a box that are not laid out yet."""
@@ -71,18 +69,16 @@ class Sheet:
         missing = int(np.count_nonzero(table == NOBODY_LOOKED))
         return self.used + missing <= len(self.canvas.base)
 
-    def observe(self, clouds: Sequence[Cloud], band: Band, box: CellBox) -> None:
-        """Observe the cells of some clouds, which reach the tiles of a box."""
+    def observe(self, cloud: Cloud, band: Band, box: CellBox) -> None:
+        """Observe the cells of a cloud, which reaches the tiles of a box."""
         inside = np.array(box.move(-self.box.row, -self.box.col))
         tracing.lay_ground(self.canvas, inside, np.empty(TILE * TILE, np.int32))
-        points = max(len(cloud.points) // 3 for cloud in clouds)
-        cells = min(box.cells, self.used) * TILE * TILE
+        points, cells = len(cloud.points) // 3, min(box.cells, self.used) * TILE * TILE
         most_points, most_cells = len(self.room.floor), len(self.room.touched) - 1
         if most_points < points or most_cells < cells:
             self.room = tracing.make_room(max(points, most_points), max(cells, most_cells))
-        for cloud in clouds:
-            laid = lay_cloud(cloud, self.canvas.columns)
-            tracing.trace_cloud(laid, band, self.canvas, self.room)
+        laid = lay_cloud(cloud, self.canvas.columns)
+        tracing.trace_cloud(laid, band, self.canvas, self.room)
 
     def empty(self) -> tuple[Int64, Int32]:
         """Give the places of tiles in which something was observed, and their cells."""
@@ -158,36 +154,33 @@ class CloudEngine(Engine):
 
     def add(self, posed: PosedScans) -> None:
         """Observe the cells of some clouds; raises MapError where the map gets too large."""
-        clouds = list(list_clouds(posed))
-        if self._box.cells > self._max_cells:
-            self._refuse_large(clouds)
         numbers = self._number(posed.batch.stamp_ns).tolist()
         with self._lock:
             sheet = self._idle.pop() if self._idle else self._make_sheet()
-        for number, some in groupby(range(len(clouds)), numbers.__getitem__):
+        for number, cloud in zip(numbers, list_clouds(posed), strict=True):
+            if self._box.cells > self._max_cells:
+                self._refuse_large(cloud)
             if sheet.number != number:
                 self._empty(sheet)
                 sheet.number = number
-            of_slice = [clouds[i] for i in some]
-            box = sheet.reach(of_slice, self._band.farthest)
+            box = sheet.reach(cloud, self._band.farthest)
             if not sheet.has_room(box):
                 self._empty(sheet)
                 sheet.clear(max(MANY_TILES, box.cells))
-            sheet.observe(of_slice, self._band, box)
+            sheet.observe(cloud, self._band, box)
         with self._lock:
             self._idle.append(sheet)
 
-    def _refuse_large(self, clouds: Sequence[Cloud]) -> None:
+    def _refuse_large(self, cloud: Cloud) -> None:
         """Refuse a map that is surely too large before tiles are laid out for it."""
         lattice = self.grid.lattice
-        for cloud in clouds:
-            refuse_long(min(find_farthest(cloud), self._band.farthest), lattice.resolution)
-            with self._lock:
-                self._extent.add(cloud)
-                box = self._extent.box
-            # What lies at the edge may be hidden beneath a thing.
-            if box and (surely := box.grow(-TILE)).rows > 0:
-                refuse_large(surely, lattice, self._max_cells)
+        refuse_long(min(find_farthest(cloud), self._band.farthest), lattice.resolution)
+        with self._lock:
+            self._extent.add(cloud)
+            box = self._extent.box
+        # What lies at the edge may be hidden beneath a thing.
+        if box and (surely := box.grow(-TILE)).rows > 0:
+            refuse_large(surely, lattice, self._max_cells)
 
     def _empty(self, sheet: Sheet) -> None:
         places, cells = sheet.empty()

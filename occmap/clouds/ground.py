@@ -85,8 +85,8 @@ def derive_ground(
     """
     columns = read_columns(counted.table, counted.path, known)
     blocks = columns.blocks
-    sample = np.concatenate([np.zeros((0, 3)), *counted.views.values()])
-    apart = np.abs(sample[:, 2] - counted.path[:1, 2] / 1000)
+    seen = np.concatenate([np.zeros((0, 3)), *counted.views.values()])
+    apart = np.abs(seen[:, 2] - counted.path[:1, 2] / 1000)
     if not columns.filled and (apart > heights.FAR_M).sum() > len(apart) / 2:
         raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
     seats = list_seats(columns, counted.paths, options.sensor_height)

@@ -174,19 +174,16 @@ class Poser:
             way = self._find_carrier(batch.frame)
         if way is None:
             return stood_s
-        here = way.at(stamp_ns)
+        apart_s = np.array([0, *STOOD_S])[:, None]
+        shape = len(apart_s), len(stamp_ns)
         for sign in (-1, 1):
-            stands, so_far = np.ones(len(stamp_ns), np.bool_), np.zeros(len(stamp_ns))
-            for seconds in STOOD_S:
-                there = way.at(stamp_ns + sign * seconds * 10**9)
-                moved = np.linalg.norm(there.position - here.position, axis=1)
-                cosine = (np.einsum("sij,sij->s", there.rotation, here.rotation) - 1) / 2
-                is_here = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
-                stands &= is_here & (there.status == Status.POSED)
-                so_far[stands] = seconds
-                if not stands.any():
-                    break
-            stood_s += so_far
+            there = way.at((stamp_ns + sign * apart_s * 10**9).ravel())
+            position, rotation = (each.reshape(*shape, *each.shape[1:]) for each in there[:2])
+            moved = np.linalg.norm(position - position[0], axis=2)
+            cosine = (np.einsum("tsij,sij->ts", rotation, rotation[0]) - 1) / 2
+            stands = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
+            stands &= there.status.reshape(shape) == Status.POSED
+            stood_s += (np.logical_and.accumulate(stands) * apart_s).max(axis=0)
         return stood_s
 
     def attach(self, batch: ScanBatch) -> Iterator[PosedScans]:

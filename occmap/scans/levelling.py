@@ -22,12 +22,11 @@ from occmap.options import BuildOptions
 from occmap.posing import Drift, measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.report import Note, join_names
-from occmap.scans import encode_cells
 from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int64
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int32, Int64
 
 LEAST_LEAN_DEG = 1.0
 """Walls of a map that leans by less are sharp enough."""
@@ -118,14 +117,13 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
     start, turned = place.position[0], place.rotation[0]
     if np.linalg.norm(counted.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
-    views = [(each - start) @ turned for each in counted.views.values()]  # in the logs' own map
+    views = [points - start for points in counted.views.values()]
     for _ in range(LEVEL_ROUNDS):
         wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
             break
         before, after = (
-            measure_walls([each @ tilt(angles).rotation[0].T for each in views])
-            for angles in (level, wanted)
+            measure_walls(views, turned @ tilt(angles).rotation[0].T) for angles in (level, wanted)
         )
         if after.spread > before.spread - SHARPER or after.shared <= before.shared:
             if not after.shared:
@@ -238,23 +236,29 @@ class Walls(NamedTuple):
     """
 
 
-def measure_walls(views: Sequence[Float64]) -> Walls:
-    """Measure walls by points (N, 3) of clouds from different places."""
+def measure_walls(views: Sequence[Float64], turned: Float64) -> Walls:
+    """Measure walls by points (N, 3) of each view, in a map (3, 3) that is turned in theirs."""
+    # Without their heights a product is so small that BLAS waits for no other thread.
+    places = [points @ turned[:, :2] / UPRIGHT_CELL_M for points in views]
     spread, shared = 0.0, 0.0
     # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
-    for aside in (0.0, UPRIGHT_CELL_M / 2):
-        cells = [encode_cells(points[:, :2] + aside, UPRIGHT_CELL_M) for points in views]
-        together = count_alike(np.concatenate(cells))
+    for aside in (0.0, 0.5):
+        seen = [np.unique(number_cells(each + aside), return_counts=True) for each in places]
+        cells, many = (np.concatenate(each) for each in zip(*seen, strict=True))
+        together = np.bincount(np.unique(cells, return_inverse=True)[1], many)
         share = together / together.sum()
         spread -= float((share * np.log(share)).sum()) / 2
-        alone = sum(float((count_alike(each) ** 2).sum()) for each in cells)
-        shared += float((together**2).sum()) - alone
+        shared += float((together**2).sum() - (many**2).sum())
     return Walls(spread, shared)
 
 
-def count_alike(cells: Int64) -> Int64:
-    """Count how many points lie in each cell."""
-    return np.asarray(np.unique(cells, return_counts=True)[1])
+def number_cells(places: Float64) -> Int32:
+    """Number the cells that places (N, 2) lie in, alike where these are 2^16 cells apart.
+
+    Numbers of 32 bits are sorted in a third of the time.
+    """
+    cells = np.rint(np.clip(places, -(2**30), 2**30)).astype(np.int32)
+    return cells.astype(np.int16).view(np.int32).ravel()
 
 
 def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:

@@ -330,5 +330,6 @@ def pose_points(cloud: Cloud, about: int) -> tuple[Float64, Float64]:
     every = max(len(points) // about, 1)
     with np.errstate(invalid="ignore"):  # where a log is damaged they are of any bits
         some = points[::every].astype(np.float64)
-    which = cloud.which[::every] if cloud.which.size else np.zeros(len(some), np.int64)
-    return some, cloud.poses[which]
+    if cloud.which.size:
+        return some, cloud.poses[cloud.which[::every]]
+    return some, np.broadcast_to(cloud.poses[0], (len(some), 3, 4))

@@ -98,7 +98,7 @@ def list_floor(cloud: Cloud, bits: Int32, columns: Columns, listed: Int32) -> in
             continue
         x, y, z = place_point(cloud, i)
         right, up = x - origin[0], y - origin[1]
-        if not SHORTEST_M**2 < right * right + up * up < LAID_M**2:
+        if not SHORTEST_M * SHORTEST_M < right * right + up * up < LAID_M * LAID_M:
             continue
         at = find_under(columns.blocks, x, y)
         if at < 0 or not columns.measured[at]:
@@ -125,7 +125,7 @@ def measure_lean(listed: Int32, many: int) -> tuple[float, float, float]:
     lift, right, up = 0.0, 0.0, 0.0
     for gate in GATES_MM:
         n, u, r, h, uh, rh = PRIOR, 0, 0, 0, 0, 0
-        uu, ur, rr = PRIOR * PRIOR_CM**2, 0, PRIOR * PRIOR_CM**2
+        uu, ur, rr = PRIOR * PRIOR_CM * PRIOR_CM, 0, PRIOR * PRIOR_CM * PRIOR_CM
         for i in range(many):
             x, y, above = int(listed[0, i]), int(listed[1, i]), int(listed[2, i])
             if abs(above - lift - right * x - up * y) <= gate:

@@ -415,7 +415,8 @@ def mark_drops(size: int, under: int, view: View, canvas: Canvas, room: Room) ->
         far = right * right + up * up
         apart = np.sqrt(float(far))
         end, slope = (row - view.row, col - view.col), rise / apart
-        note_end(room, OBSTACLE, some.sector[i], far, slope, end)
+        # A constant is of a type of its own, for which steps are compiled anew.
+        note_end(room, int(OBSTACLE), some.sector[i], far, slope, end)
         note_beam(room, find_ring(view, apart), some.sector[i], slope)
 
 
