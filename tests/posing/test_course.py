@@ -136,8 +136,6 @@ JUMPS: dict[str, tuple[Callable[[int], Pose], str, dict[str, str]]] = {
     ),
     "a plateau": (lambda second: turned(5, 7.0, -3.0) if 60 <= second < 65 else NOWHERE,
         " 65.000 s after the first scan, the largest of 2 jumps: ", {"max_speed": "3"}),
-    "a single wrong one": (lambda second: turned(10) if second == 30 else NOWHERE,
-        " 31.000 s after the first scan, the largest of 2 jumps: ", {"max_speed": "3"}),
 }  # fmt: skip
 
 
