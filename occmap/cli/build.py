@@ -21,7 +21,7 @@ from occmap.options import DEFAULT_UPDATE, OPTIONS, RUN, BuildOptions, choose_mo
 from occmap.pipeline import build
 from occmap.plugins import guess
 from occmap.readers import open_log
-from occmap.report import Note, label_first
+from occmap.report import Note, is_damage, label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report
 from occmap.scans.mounts import open_drive
@@ -82,11 +82,12 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     given, chosen = read_request(words, values)
     console.announce(*list_idle(values))
     logs = options.gather_logs(console, given, chosen, values["outputs"])
-    logs, lost = find_readable(logs, chosen) if values["skip_unreadable"] else (logs, [])
+    if values["skip_unreadable"]:
+        logs = keep_readable(console, logs, chosen)
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
     report = options.hide_sent(run_build(console, logs, chosen, values))
-    report = replace(report, notes=(*lost, *report.notes))
+    report = replace(report, notes=(*filter(is_damage, console.announced), *report.notes))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
@@ -115,7 +116,7 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
     return logs, take(BuildOptions, {**values, "update": update, "model": model})
 
 
-def find_readable(logs: list[Path], chosen: BuildOptions) -> tuple[list[Path], list[Note]]:
+def keep_readable(console: Console, logs: list[Path], chosen: BuildOptions) -> list[Path]:
     """Leave out logs without readable scans or without poses, with a note on each; never all."""
     readable, lost = [], []
     for path in logs:
@@ -124,7 +125,8 @@ def find_readable(logs: list[Path], chosen: BuildOptions) -> tuple[list[Path], l
             readable.append(path)
         except (LogError, PoseError) as error:
             lost.append(Note(f"{path}: left out: {error.found}", damage=True))
-    return readable or logs, lost if readable else []
+    console.announce(*lost if readable else ())
+    return readable or logs
 
 
 def list_idle(values: Values) -> Iterator[str]:

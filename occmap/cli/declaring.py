@@ -223,7 +223,8 @@ def tell(console: Console, name: str, answer: Answer, limits: Sequence[Limit] | 
     """Tell notes, print the result, and say which limits it does not keep to."""
     console.clear()
     failed = [it for limit in limits or () if (it := limit.find_failure(answer.result))]
-    console.note(*getattr(answer.result, "notes", ()))
+    notes = getattr(answer.result, "notes", ())
+    console.note(*(each for each in notes if each not in console.announced))
     if console.as_json:
         added = {} if limits is None else Limited(failed).to_json()
         console.put_json(name, answer.result.to_json() | added)

@@ -176,7 +176,7 @@ def open_file(path: Path) -> Source:
     for source in (McapSource, SqliteSource, Bag1Source):
         if start.startswith(source.magic):
             return source(path)
-    raise LogError("neither SQLite nor MCAP", where=path)
+    raise LogError("neither SQLite nor MCAP" if start else "the file is empty", where=path)
 
 
 class RosbagReader(RosReader):

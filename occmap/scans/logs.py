@@ -23,7 +23,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.frames import join_topic, last_part
 from occmap.posing.sources import gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
-from occmap.report import STDIN_FOLDER, count, is_damage, join_names
+from occmap.report import STDIN_FOLDER, Note, count, is_damage, join_names
 from occmap.sensor.models import CountingModel, RadialModel
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
 
@@ -258,7 +258,7 @@ def find_inputs(
                 open_log(each, options)
             except LogError as error:
                 told = f"passed over, though named like a recording: {error.found}"
-                notes.append(f"{each}: {told}")
+                notes.append(Note(f"{each}: {told}", damage=each.suffix in RECORDED))
     return logs, notes
 
 

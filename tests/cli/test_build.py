@@ -198,6 +198,9 @@ def test_logs_that_cannot_be_read_are_left_out_as_damage(here: Path, workers: li
     assert occmap(*line, "--skip-unreadable", "--fail-if", "damage > 2").code == 3
     none = occmap("build", "rnd.bag", "-o", "m.pgm", "--skip-unreadable")
     assert read_error(none, 1).startswith("rnd.bag: a text file of no known")
+    (here / "good.bag").write_bytes(DRIVE.read_bytes())
+    strict = occmap("build", "*.bag", "-o", "m.pgm", "--strict", "--json")
+    assert (strict.code, strict.err.count("note: rnd.bag:")) == (1, len(strict.json["damage"]))
 
 
 def test_a_map_without_walls_is_noted() -> None:
