@@ -473,7 +473,7 @@ def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_pa
     assert report.map.agreement is not None
     assert report.map.agreement > LEAST_AGREEMENT
     (note,) = report.notes
-    mount = "`static_transforms=base_link,rear,0,0,0,3.14159,0,0`"
+    mount = "`static_transforms=(base_link,rear,0,0,0,3.14159,0,0)`"
     assert note == f"{path}: /rear: the scans would fit each other better with {mount}"
 
 
