@@ -190,7 +190,7 @@ def list_concerns(
             mine.append(Concern(WRONG_TO_CLEAR, {"no_return": ""}))
         if topic.better and topic.poses.posed:
             mine.append(Concern(topic.better.text))
-        elif all(concern == Concern(concern.text) for concern in mine):  # else the reason is known
+        elif not any(it.remedy or it.command != "build" for it in mine):  # else the reason is known
             mine += doubt_poses(topic, others)
         found += [it._replace(text=f"{topic.topic}: {it.text}") for it in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
