@@ -272,7 +272,7 @@ def sum_up_mount(poser: Poser, topic: str, misfit: Concern | None) -> MountFindi
     """Sum up how the sensor of a topic sits; None where no scan has a pose."""
     if (stance := poser.find_stance(topic)) is None:
         return None
-    better = "".join(map("=".join, misfit.remedy.items())) if misfit else ""
+    better = " ".join(f"{name}={value}" for name, value in misfit.remedy.items()) if misfit else ""
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
