@@ -70,6 +70,12 @@ def to_rpy(pose: Pose) -> tuple[float, float, float]:
     return roll, pitch, yaw
 
 
+def mark_options(values: Mapping[str, str]) -> str:
+    """Write options with their values into a sentence: in Python, what has commas is a tuple."""
+    written = {name: f"({text})" if "," in text else text for name, text in values.items()}
+    return " and ".join(f"`{name}={text}`" for name, text in written.items())
+
+
 def _join(numbers: Sequence[float]) -> str:
     """Join numbers, to hundredths of a millimetre and without a negative zero."""
     return ",".join(f"{round(number, 5) + 0.0:.12g}" for number in numbers)

@@ -21,7 +21,7 @@ from occmap.inspection.survey import RangeCensus, StampLog, find_crossing, list_
 from occmap.options import BuildOptions, Selection, compose_build
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.readers import PluginLog
+from occmap.readers import Echo, PluginLog, ReaderOptions
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.mounts import SUSPECT, find_mount, prepare, turn_mount
 from occmap.sensor import NoReturn, ReturnOptions
@@ -267,14 +267,14 @@ def test_a_clock_that_jumps_midway_is_told_with_what_fits_better(tmp_path: Path)
     assert ["stamps drift by" in text for text in told.warnings] == [True]
 
 
-def test_clouds_beside_scans_are_said_to_be_left_out(tmp_path: Path) -> None:
+def test_a_check_tells_what_is_left_out_or_does_nothing_as_a_build_does(tmp_path: Path) -> None:
     points = Written("/points", 100 * SECOND, cloud(ROS1, [(1.0, 2.0, 3.0)]))
     path = write_bag(tmp_path / "both.bag", Drive(), **MOUNTED, more=[points])
     for topics, told in (((), True), (("/scan",), False)):
-        options = BuildOptions(selection=Selection(topics))
+        options = BuildOptions(reading=ReaderOptions(Echo.LAST), selection=Selection(topics))
         for notes in (look(path, options).logs[0].notes, build([path], options).report.notes):
-            told_of = [each for each in notes if "clouds are left out" in each]
-            assert ["`topics=/points`" in each for each in told_of] == [True] * told
+            told_of = [it for it in notes if "clouds are left out" in it or "`echo=last`" in it]
+            assert ["`topics=/points`" in each for each in told_of] == [False, *[True] * told]
 
 
 def test_poses_that_come_seldom_need_a_larger_gap(
@@ -473,7 +473,7 @@ def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_pa
     assert report.map.agreement is not None
     assert report.map.agreement > LEAST_AGREEMENT
     (note,) = report.notes
-    mount = "`static_transforms=base_link,rear,0,0,0,3.14159,0,0`"
+    mount = "`static_transforms=(base_link,rear,0,0,0,3.14159,0,0)`"
     assert note == f"{path}: /rear: the scans would fit each other better with {mount}"
 
 

@@ -15,7 +15,6 @@ from occmap.choices import read_value, take
 from occmap.cli import options
 from occmap.cli.console import Console, write_rows
 from occmap.cli.declaring import CONFIG, PATH, TEXT, Answer, CliOption, command, fail_if, flag
-from occmap.cli.options import Values
 from occmap.errors import LogError, OccmapError, PoseError, UsageError
 from occmap.options import DEFAULT_UPDATE, OPTIONS, RUN, BuildOptions, choose_model
 from occmap.pipeline import build
@@ -86,7 +85,7 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
         logs = keep_readable(console, logs, chosen)
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
-    report = options.hide_sent(run_build(console, logs, chosen, values))
+    report = run_build(console, logs, chosen, values)
     report = replace(report, notes=(*filter(is_damage, console.announced), *report.notes))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
@@ -98,7 +97,7 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
         first, *others = report.damage
         more = f"; {len(others)} more" if others else ""
         failure = LogError(f"{first} (--strict{more})", fix="the map was written")
-    return Answer(report, write_rows(options.tell_report(report, took)), failure)
+    return options.answer(report, took, failure=failure)
 
 
 def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Path], BuildOptions]:
@@ -129,7 +128,7 @@ def keep_readable(console: Console, logs: list[Path], chosen: BuildOptions) -> l
     return readable or logs
 
 
-def list_idle(values: Values) -> Iterator[str]:
+def list_idle(values: options.Values) -> Iterator[str]:
     """Say which options do nothing, as they are for a build by many workers."""
     if values["dask"] is None and values["scratch"] is not None:
         yield "--scratch does nothing without --dask"
@@ -203,7 +202,8 @@ def demo_command(console: Console, /, folder: Path) -> Answer:
         "occmap build YOUR_LOG -o map.pgm",
     )
     rows = [("look at", str(made[1])), *label_first("next", commands)]
-    return Answer(report, write_rows([*options.tell_report(report), *rows]))
+    told = options.answer(report)
+    return told._replace(lines=[*told.lines, *write_rows(rows)])
 
 
 def find_sample(name: str) -> Path:

@@ -16,8 +16,7 @@ from occmap.choices import Form, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_rows
 from occmap.cli.declaring import CONFIG, Answer, command, fail_if
-from occmap.inspection import findings, inspect
-from occmap.inspection.findings import Inspection
+from occmap.inspection import Inspection, findings, inspect
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_logs, write_inspection
 from occmap.report import Row, count, label_first

@@ -15,7 +15,6 @@ from occmap.choices import list_options, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, Value, command, fail_if, flag
-from occmap.cli.options import choose_saved_model
 from occmap.difference import MapDifference, tell_changes
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Observation, Question, Visits, explain
@@ -111,10 +110,9 @@ def put_out(
     check_outputs(outputs, inputs, writing)
     refuse_unsaved(outputs, values.get("overview"))
     evidence = read()
-    view = {"model": choose_saved_model(evidence, values), "writing": writing}
+    view = {"model": options.choose_saved_model(evidence, values), "writing": writing}
     chosen = take(RenderOptions, values | view)
-    report = options.hide_sent(publish(evidence, chosen, outputs))
-    return Answer(report, write_rows(options.tell_report(report)))
+    return options.answer(publish(evidence, chosen, outputs))
 
 
 MOST_SCANS, MOST_BUILDS = 12, 6
@@ -144,10 +142,10 @@ def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
       occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
     """
     evidence = open_saved(path)
-    view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
+    model, writing = options.choose_saved_model(evidence, values), take(WriteOptions, values)
     others = values["poses"]  # lie beside the logs, and are none
     values["logs"] = options.gather_logs(console, values["logs"], BuildOptions(), others)
-    question = take(Question, values | view)
+    question = take(Question, {**values, "model": model, "writing": writing})
     explanation = explain(evidence, question, console.advance)
     scans = list_scans(explanation) if values["logs"] else ()
     return Answer(explanation, write_rows([*list_cell(explanation), *scans]))

@@ -16,10 +16,9 @@ from typing import Any
 
 import click
 
-from occmap import choices
-from occmap.choices import list_options
-from occmap.cli.console import Console, put_on_stdout, spell
-from occmap.cli.declaring import PATH, CliOption, Value
+from occmap.choices import Option, list_options
+from occmap.cli.console import Console, put_on_stdout, spell, write_rows
+from occmap.cli.declaring import PATH, Answer, CliOption, Value
 from occmap.errors import OccmapError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
@@ -43,7 +42,7 @@ TYPED: dict[str, dict[str, Any]] = {
 """What differs, by the names of options, from how others of their types are typed"""
 
 
-def field(known: choices.Option, **more: Any) -> CliOption:
+def field(known: Option, **more: Any) -> CliOption:
     """Make an option as it is declared, but for what `more` settings say."""
     kind, default = known.kind, known.default
     settings: dict[str, Any] = {
@@ -207,16 +206,15 @@ def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tup
     return tuple(saved if path in sent else path for path in placed)
 
 
-def tell_report(report: Report, *more: Row) -> list[Row]:
-    """Say all about a map: what it is, how it came about, `more`, and in which files it is."""
-    made = [*tell_map(report.map, report.hint), *tell_scans(report), *tell_beams(report)]
-    return [*made, *more, *label_first("files", report.files)]
+def answer(report: Report, *more: Row, failure: Exception | None = None) -> Answer:
+    """Say all about a map: what it is, how it came about, `more`, and in which files it is.
 
-
-def hide_sent(report: Report) -> Report:
-    """Leave out of a report the file that is sent to stdout."""
+    The file that is sent to stdout is none of these.
+    """
     files = [file for file in report.files if not Path(file).parent.name.startswith(SCRATCH)]
-    return replace(report, files=tuple(files))
+    made = [*tell_map(report.map, report.hint), *tell_scans(report), *tell_beams(report)]
+    rows = [*made, *more, *label_first("files", files)]
+    return Answer(replace(report, files=tuple(files)), write_rows(rows), failure)
 
 
 @contextmanager

@@ -15,21 +15,21 @@ from operator import itemgetter
 from pathlib import Path
 
 from occmap.cells import CellBox
+from occmap.choices import mark_options
 from occmap.errors import OccmapError
 from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
-from occmap.inspection.poses import Doubt
 from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
-from occmap.posing import Concern, DropReason
+from occmap.posing import Concern, Doubt, DropReason
 from occmap.readers import Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
-from occmap.scans.mounts import Better, Posing, find_better_mount, prepare, warn_of_misfit
+from occmap.scans.mounts import Posing, find_better_mount, prepare
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.sensor.bands import BAND
@@ -106,7 +106,7 @@ def list_pose_problems(logs: Sequence[LogFindings]) -> list[str]:
 def bridge_clocks(topic: ScanFindings) -> str:
     """Suggest an option for scans that have no pose at their times."""
     if topic.better:
-        return f"; try {topic.better.option}"
+        return f"; try {mark_options(topic.better.remedy)}"
     if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
         return ""
     return "; compare stamps and sources, and try `time_offset_s=S`"
@@ -147,22 +147,19 @@ def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
     nothing helps, or the findings ask for two values of an option.
     """
     found = list(dict.fromkeys(list_advised(log)))
-    advised = dict(found)
-    is_lost = any(concern.remedy is None for concern in log.concerns)
-    is_lost |= any(DEGREES in note for note in log.notes)
+    advised, commands = dict(found), {concern.command for concern in log.concerns}
+    is_lost = "" in commands or any(DEGREES in note for note in log.notes)
     if is_lost or len(advised) < len(found):
         return None
-    is_tuned = any(concern.command == "tune" for concern in log.concerns)
-    return ("tune" if is_tuned else "build"), advised
+    return ("tune" if "tune" in commands else "build"), advised
 
 
 def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
     """List the options that the findings about a log suggest, with their values."""
     yield from (("sensor_pose", it.poses.assumed) for it in log.scans if it.poses.assumed)
     betters = [it.better for it in log.scans if it.better]
-    yield from ((it.name, it.value) for it in betters[:1])  # each was tried alone
-    for concern in log.concerns:
-        yield from (concern.remedy or {}).items()
+    for concern in (*betters[:1], *log.concerns):  # each of the first was tried alone
+        yield from concern.remedy.items()
 
 
 def is_open(log: LogFindings) -> bool:
@@ -192,8 +189,8 @@ def list_concerns(
         if options.returns.no_return == "clear" and (topic.ranges.crossed or 0) >= MOSTLY_OPEN:
             mine.append(Concern(WRONG_TO_CLEAR, {"no_return": ""}))
         if topic.better and topic.poses.posed:
-            mine.append(Concern(tell_better(topic, topic.better)))
-        elif all(concern.remedy == {} for concern in mine):  # else the reason is known
+            mine.append(Concern(topic.better.text))
+        elif not any(it.remedy or it.command != "build" for it in mine):  # else the reason is known
             mine += doubt_poses(topic, others)
         found += [it._replace(text=f"{topic.topic}: {it.text}") for it in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
@@ -208,7 +205,7 @@ def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator
         return
     found = f"{doubt}: the poses do not fit the scans"
     if topic.poses.stated:  # at their own times
-        yield Concern(f"{found}; try another trajectory by `poses=FILE`", None)
+        yield Concern(f"{found}; try another trajectory by `poses=FILE`", command="")
         return
     fit = others and all((other.agreement or 0.0) >= LEAST_AGREEMENT for other in others)
     remedy = {"topics": topic.topic} if fit else {}
@@ -237,14 +234,6 @@ def list_apart(
     found += f", and {share:.0%} or more of those of each alone: do their frames fit each other?"
     mend = "build each alone by `topics`, and `occmap merge` with `fit` finds how they lie"
     yield Concern(f"{found} {mend}; lasers at different heights contradict each other, too")
-
-
-def tell_better(topic: ScanFindings, better: Better) -> str:
-    """Say how much better the scans of a topic fit each other with an option."""
-    if topic.agreement is None or (better.agreement or 0) <= topic.agreement + poses.BETTER:
-        return f"more scans have a pose with {better.option}"
-    share = f"{topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
-    return f"{share}, and {better.agreement:.0%} with {better.option}"
 
 
 def list_oddities(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
@@ -284,7 +273,7 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
         return
     if any(special.name == BEYOND for special in ranges.specials):
         found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
-        yield Concern(found, None)
+        yield Concern(found, command="")
     else:
         yield Concern("no range value is a measurement")
 
@@ -331,11 +320,11 @@ def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFinding
     log, options = drive.log, drive.options
     scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    doubts += ((it.topic, warn_of_misfit(it.misfit)) for it in scans if it.misfit)
-    if any(it.better and it.better.name in poses.OTHER_POSES for it in scans):
+    doubts += ((it.topic, it.misfit) for it in scans if it.misfit)
+    if any(it.better and poses.OTHER_POSES & it.better.remedy.keys() for it in scans):
         # What would mend the poses given does not go with others.
         doubts = [(topic, Concern(concern.text)) for topic, concern in doubts]
-    doubts += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
+    doubts += drive.list_doubts()
     box, ground, problem = survey.box, list[str](), ""
     if any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         box, ground, against, problem = inspect_ground(survey)
@@ -345,12 +334,11 @@ def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFinding
         lack = write_unused(unused.total(), unused) if unused else lack
         problem = f"{log.path}: {lack}"
     fixes = list(poses.tell_fixes(drive))  # the log and the poser take notes meanwhile
-    notes = *poser.notes, *drive.limits.list_notes(), *drive.list_left(), *fixes
     found = replace(
         known,
         scans=() if problem else scans,
         coverage=tuple(poses.list_coverage(poser.sources)),
-        notes=(*log.notes, *ground, *notes),
+        notes=(*log.notes, *ground, *drive.list_remarks(), *fixes),
         box=box,
         longest=survey.longest,
         problem=problem,

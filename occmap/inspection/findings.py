@@ -10,7 +10,6 @@ from occmap.posing import Concern
 from occmap.posing.frames import Source
 from occmap.readers import Role, Stream
 from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
-from occmap.scans.mounts import Better
 from occmap.scans.tally import count_wanted
 
 
@@ -186,10 +185,10 @@ class ScanFindings:
     null where they make no map"""
     hint: str = field(default="", metadata=HIDDEN)
     """What to try where these are few, and nothing else that was found may be why"""
-    misfit: Better | None = field(default=None, metadata=HIDDEN)
-    """The mount by which the scans fit each other better"""
-    better: Better | None = field(default=None, metadata=HIDDEN)
-    """The option, whatever it is but a mount"""
+    misfit: Concern | None = field(default=None, metadata=HIDDEN)
+    """That another mount fits the scans better"""
+    better: Concern | None = field(default=None, metadata=HIDDEN)
+    """That another option does, whatever it is but a mount"""
 
     @property
     def kept(self) -> int:

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.cells import Box, CellBox, Ground
-from occmap.choices import format_mount, list_values, take
+from occmap.choices import format_mount, list_values, mark_options, take
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
 from occmap.evidence import count_steady, list_contradictions
@@ -21,7 +21,7 @@ from occmap.grid import Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body
 from occmap.options import OPTIONS, BuildOptions
-from occmap.posing import Concern, Deskew, Stamps
+from occmap.posing import Concern, Deskew, Doubt, Stamps
 from occmap.posing.attach import Poser, place_logs
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.sources import Sources
@@ -30,13 +30,11 @@ from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
 from occmap.scans import Keep, estimate_agreement, make_engine, mounts
 from occmap.scans.logs import read_poser
-from occmap.scans.mounts import Better, Posing
+from occmap.scans.mounts import Posing
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Update
 
-Doubt: TypeAlias = tuple[str, Concern]
-"""A topic, and what spoils its map"""
 Clouds: TypeAlias = Sequence[PosedScans]
 """A sample of the clouds of a topic"""
 
@@ -52,7 +50,7 @@ MOST_TRIED = 6
 """So many options are tried for a topic: each takes a map of the sample"""
 
 
-def find_better(drive: Drive, topic: TopicSurvey, found: ScanFindings) -> Better | None:
+def find_better(drive: Drive, topic: TopicSurvey, found: ScanFindings) -> Concern | None:
     """Find the option by which the scans of a topic fit each other best, if clearly better.
 
     Each is tried alone, on the sample of scans. Scans without a pose count as ones that fit none.
@@ -67,8 +65,8 @@ def find_better(drive: Drive, topic: TopicSurvey, found: ScanFindings) -> Better
     posed = topic.posed / max(found.kept, 1) if topic.stated else share_posed(drive.poser, topic)
     most, better = usual * posed + BETTER, None
     others = list(islice(list_others(drive.poser, topic, found), MOST_TRIED))
-    if found.misfit and found.misfit.name == "sensor_pose":
-        others.insert(0, (found.misfit.name, found.misfit.value))
+    if found.misfit and "sensor_pose" in found.misfit.remedy:
+        others[:0] = found.misfit.remedy.items()
     for name, value in others:
         changed = take(BuildOptions, given | {name: OPTIONS[name].read(value)})
         poser, parts = pose_sample(drive, topic, changed)
@@ -77,9 +75,24 @@ def find_better(drive: Drive, topic: TopicSurvey, found: ScanFindings) -> Better
         if agreement is not None and agreement < LEAST_AGREEMENT <= (found.agreement or 0.0):
             continue  # poses that do not fit are no gain, however many
         if (fit := share * (usual if agreement is None else agreement)) > most:
-            most, better = fit, Better(name, value, agreement)
+            most, better = fit, tell_better(found.agreement, agreement, {name: value})
     # Of a mount it is told in any case that it is wrong.
-    return None if better and better.name == "sensor_pose" else better
+    return None if better and "sensor_pose" in better.remedy else better
+
+
+def tell_better(usual: float | None, share: float | None, remedy: Mapping[str, str]) -> Concern:
+    """Say how much better the scans of a topic fit each other with an option.
+
+    Parameters
+    ----------
+    usual, share
+        Of the hits of a sample those that agree without it, and with it; None where these make no
+        map.
+    """
+    if usual is None or (share or 0) <= usual + BETTER:
+        return Concern(f"more scans have a pose with {mark_options(remedy)}", remedy)
+    found = f"{usual:.0%} of the hits of a sample of scans lie in occupied cells"
+    return Concern(f"{found}, and {share:.0%} with {mark_options(remedy)}", remedy)
 
 
 def list_others(poser: Poser, topic: TopicSurvey, found: ScanFindings) -> Iterator[tuple[str, str]]:
@@ -255,11 +268,11 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     )
 
 
-def sum_up_mount(poser: Poser, topic: str, misfit: Better | None) -> MountFindings | None:
+def sum_up_mount(poser: Poser, topic: str, misfit: Concern | None) -> MountFindings | None:
     """Sum up how the sensor of a topic sits; None where no scan has a pose."""
     if (stance := poser.find_stance(topic)) is None:
         return None
-    better = f"{misfit.name}={misfit.value}" if misfit else ""
+    better = " ".join(f"{name}={value}" for name, value in misfit.remedy.items()) if misfit else ""
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
@@ -291,7 +304,7 @@ def list_cloud_concerns(
 ) -> Iterator[Doubt]:
     """List what some clouds say against mounts and poses, and if they show the robot."""
     poser, options = drive.poser, drive.options
-    yield from ((topic, Concern(doubt)) for topic, doubt in poser.suspect_axes(ground))
+    yield from poser.suspect_axes(ground)
     for topic, clouds in sorted(some.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
         wrong = mount and find_misplaced(mount, clouds)
@@ -398,9 +411,9 @@ def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Floa
 
 def warn_of_body(body: Box) -> Concern:
     """Say that the robot stands in a box around the sensor (m), and what leaves it out."""
-    box = ",".join(f"{edge:g}" for edge in body)
+    box = {"footprint": ",".join(f"{edge:g}" for edge in body)}
     found = "the robot is in its own scans: some of it is at the same place wherever it goes"
-    return Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
+    return Concern(f"{found}; {mark_options(box)} leaves it out", box)
 
 
 def find_misplaced(mount: mounts.Mount, clouds: Clouds) -> Concern | None:
@@ -433,8 +446,7 @@ def find_turned(mount: mounts.Mount, clouds: Clouds, options: BuildOptions) -> C
 def propose(mount: mounts.Mount, pose: Pose, found: str, effect: str) -> Concern:
     """Propose another mount by what was found with the one that is given."""
     mended = mount.write(pose)
-    ((name, value),) = mended.items()
-    return Concern(f"{found}: its mount is another; `{name}=({value})` {effect}", mended)
+    return Concern(f"{found}: its mount is another; {mark_options(mended)} {effect}", mended)
 
 
 def find_own_ground(clouds: Clouds, options: BuildOptions) -> Ground | None:

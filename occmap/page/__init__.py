@@ -23,8 +23,7 @@ from occmap.cells import CellBox, OccupancyMap, keep_largest
 from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.evidence.manifest import describe_files
-from occmap.inspection import findings
-from occmap.inspection.findings import Inspection
+from occmap.inspection import Inspection, findings
 from occmap.options import BuildOptions, spell_flags
 from occmap.report import Noted, join_names, name_stdin
 from occmap.scans.tracing import Progress, ignore_progress

@@ -69,11 +69,15 @@ class Concern(NamedTuple):
     """Something that its user should know before the map is used."""
 
     text: str
-    remedy: Mapping[str, str] | None = {}
-    """Options that mend it, with their values. Empty: the map is of use all the same. None: it is
-    not, and no known option makes it so"""
+    remedy: Mapping[str, str] = {}
+    """Options that mend it, with their values; none: the map is of use all the same"""
     command: str = "build"
-    """What to type with these: `tune`, where it may find the reason"""
+    """What to type with these: `tune`, where it may find the reason; "" where no known option makes
+    the map of use"""
+
+
+Doubt: TypeAlias = tuple[str, Concern]
+"""A topic, and what spoils its map"""
 
 
 @dataclass(frozen=True, slots=True)

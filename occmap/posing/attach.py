@@ -13,7 +13,7 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.errors import PoseError
-from occmap.posing import Concern, Deskew, Drift, PosingOptions, chain
+from occmap.posing import Concern, Deskew, Doubt, Drift, PosingOptions, chain
 from occmap.posing import course as courses
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import Course, Stance
@@ -314,8 +314,8 @@ class Poser:
         """Find how the sensor of a topic sat; None where no scan had a pose."""
         return next((Stance.measure(track) for _, track in self._list_tracks(topic)), None)
 
-    def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
-        """List what spoils a map in the poses that were given so far, each with its topic.
+    def list_concerns(self, first_ns: int, max_range: float) -> Iterator[Doubt]:
+        """List what spoils a map in the poses that were given so far.
 
         A sensor that never moved is only noted: the robot may have stood still.
 
@@ -347,7 +347,7 @@ class Poser:
         """List the topics of sensors that never moved, where there are scans enough to see it."""
         return [name for (name, _), track in self._list_tracks() if courses.stands(track)]
 
-    def suspect_axes(self, ground: Ground | None) -> Iterator[tuple[str, str]]:
+    def suspect_axes(self, ground: Ground | None) -> Iterator[Doubt]:
         """Say of which clouds z may point down in the poses, by the ground below their sensor."""
         for laser, track in self._list_tracks():
             place, stance = track.position, Stance.measure(track)
@@ -356,9 +356,9 @@ class Poser:
             if self.courses[laser].is_of_clouds and is_odd and np.mean(above < NEAR_FLOOR_M) < 0.5:
                 found = "the sensor hangs upside down, below the zero of the map"
                 why = "does z point down in the poses (NED)? `level=(180,0)` turns the map over"
-                yield laser[0], f"{found}, and no floor is near below it: {why}"
+                yield laser[0], Concern(f"{found}, and no floor is near below it: {why}")
 
-    def suspect_places(self, middle_m: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+    def suspect_places(self, middle_m: Mapping[str, float]) -> Iterator[Doubt]:
         """Say where places of sensors can hardly be metres, by topic, as are the median ranges.
 
         Those of which poses are mixed are as far apart for that reason.
@@ -368,7 +368,7 @@ class Poser:
             if doubt and not (way and courses.warn_of_mixed(way, track.stamp_ns, 0)):
                 yield topic, doubt
 
-    def _list_twins(self) -> Iterator[tuple[str, Concern]]:
+    def _list_twins(self) -> Iterator[Doubt]:
         """Say which topics hold the scans of another one, such as those that were filtered."""
         known: dict[str, tuple[str, Int64]] = {}
         of_clouds = {laser for laser, course in self.courses.items() if course.is_of_clouds}

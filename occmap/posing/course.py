@@ -15,6 +15,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.choices import mark_options
 from occmap.posing import Concern, DropReason, Stamps, tracks
 from occmap.posing.chain import Chain, Moving, Status, Transforms, make_chain, turn
 from occmap.posing.frames import Edge, Source
@@ -83,8 +84,7 @@ def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | Non
         found = f"{name} jumps to and fro"
         if remedy := leave_row_out(track, scans_ns, first_ns):
             why = "was the clock set back, or do two nodes send it?"
-            ((option, value),) = remedy.items()
-            keep = f"`{option}={value}` keeps what is not mixed"
+            keep = f"{mark_options(remedy)} keeps what is not mixed"
             return Concern(f"{found} for a while: {why} {keep}", remedy)
         share = len(list_turns(track, scans_ns, 1.0)) / len(track)
         if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
@@ -158,7 +158,6 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     else:
         remedy = {"max_speed": str(limit)}
         kept, share = "leaves out what lies elsewhere, and keeps the others", stays.mean()
-    keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
     worst = max(jumps, key=lambda jump: jump.metres + jump.radians)
     text = (
         f"{worst.name} jumps by {worst.metres:.3g} m and {math.degrees(worst.radians):.0f} deg "
@@ -166,11 +165,9 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     )
     text += f", the largest of {len(jumps)} jumps" if len(jumps) > 1 else ""
     unless = "" if worst.is_correction else "unless the robot did so, as in a simulator, "
-    return Concern(
-        f"{text}: {unless}scans from before and after do not fit together; {keep} {kept}, "
-        f"{share:.0%} of them",
-        remedy,
-    )
+    keep = f"{mark_options(remedy)} {kept}, {share:.0%} of them"
+    why = "scans from before and after do not fit together"
+    return Concern(f"{text}: {unless}{why}; {keep}", remedy)
 
 
 def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
@@ -404,18 +401,19 @@ def stands(track: Track) -> bool:
     return len(track) >= STILL_SCANS and not moves
 
 
-def suspect_places(track: Track, middle_m: float) -> str:
-    """Say if a sensor moves faster than any does between most scans; "" if it does not.
+def suspect_places(track: Track, middle_m: float) -> Concern | None:
+    """Say if a sensor moves faster than any does between most scans.
 
     A slower one is as doubtful where scans do not overlap, by their median range.
     """
     if len(track) <= STILL_SCANS:
-        return ""
+        return None
     speed, step_m = np.quantile([track.step_m / track.interval_s, track.step_m], 0.75, axis=1)
     if speed < (BLIND_M_PER_S if step_m > 2 * middle_m else UNREAL_M_PER_S):
-        return ""
+        return None
     found = f"the sensor moves at {speed:.3g} m/s: places are metres"
-    return f"{found}; are these millimetres or centimetres, or are the times wrong?"
+    why = "are these millimetres or centimetres, or are the times wrong?"
+    return Concern(f"{found}; {why}", command="")
 
 
 class Stance(NamedTuple):
@@ -463,9 +461,9 @@ def warn_of_axes(track: Track) -> Concern | None:
         return None
     found = "its way lies in a plane that stands upright, as where z is not up in the poses"
     if not (x or y):
-        return Concern(f"{found}; turn them to those of a robot: x ahead, y left", None)
-    level = f"{90 * y + 0.0:.0f},{-90 * x + 0.0:.0f}"
-    return Concern(f"{found}; if it is not, `level=({level})` lays it flat", {"level": level})
+        return Concern(f"{found}; turn them to those of a robot: x ahead, y left", command="")
+    level = {"level": f"{90 * y + 0.0:.0f},{-90 * x + 0.0:.0f}"}
+    return Concern(f"{found}; if it is not, {mark_options(level)} lays it flat", level)
 
 
 def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
@@ -484,7 +482,8 @@ def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
         found += f" ({math.degrees(abs(stance.ahead)):.1f} deg {side} ahead)"
     reach = math.floor(10 * stance.height / math.sin(stance.tilt)) / 10
     if stance.tilt >= STEEP_RAD:
-        yield Concern(f"{found}: the laser looks at the floor or the ceiling, not at walls", None)
+        why = "the laser looks at the floor or the ceiling, not at walls"
+        yield Concern(f"{found}: {why}", command="")
     elif stance.swing > 2 * TILTED_RAD:
         found = f"the scan plane nods by {math.degrees(stance.swing):.0f} deg and meets the floor"
         yield Concern(f"{found}: map clouds of its scans, which `laser_assembler` makes")
@@ -492,4 +491,5 @@ def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
         yield Concern(f"{found}: it meets the floor")
     elif max_range > reach:
         found += f": {stance.height:.2g} m over the floor, which it meets {reach:g} m away"
-        yield Concern(f"{found}; end there with `max_range={reach:g}`", {"max_range": f"{reach:g}"})
+        end = {"max_range": f"{reach:g}"}
+        yield Concern(f"{found}; end there with {mark_options(end)}", end)

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.choices import format_mount, format_static
+from occmap.choices import format_mount, format_static, mark_options
 from occmap.clouds.mounting import find_seat
 from occmap.errors import MountError, PoseError
 from occmap.options import BuildOptions
@@ -189,28 +189,13 @@ def list_misfits(
         for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
             if better := find_better_mount(drive.poser, mine, options):
-                yield f"{path}: {topic}: {warn_of_misfit(better).text}"
-
-
-class Better(NamedTuple):
-    """An option by which scans fit each other clearly better."""
-
-    name: str
-    value: str
-    agreement: float | None
-    """Share of the hits of a sample that agree with it; None where it makes no map"""
-
-    @property
-    def option(self) -> str:
-        """The option with its value, as sentences name it: in Python, a pose is a tuple."""
-        value = f"({self.value})" if self.name == "sensor_pose" else self.value
-        return f"`{self.name}={value}`"
+                yield f"{path}: {topic}: {better.text}"
 
 
 def find_better_mount(
     poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
-) -> Better | None:
-    """Find the mount by which the scans of a sensor fit clearly better.
+) -> Concern | None:
+    """Find the mount by which the scans of a sensor fit clearly better, and say how well.
 
     None where they fit as they are, or nothing is mounted.
     """
@@ -219,18 +204,12 @@ def find_better_mount(
         return None
     if (mount := find_mount(poser, parts[0].batch.frame)) is None:
         return None
-    ((name, value),) = mount.write(turn_mount(mount.pose, turn)).items()
+    mended = mount.write(turn_mount(mount.pose, turn))
+    text = f"the scans would fit each other better with {mark_options(mended)}"
     agreement = estimate_agreement([mount_scans(part, turn) for part in parts], options)
-    return Better(name, value, agreement)
-
-
-def warn_of_misfit(better: Better) -> Concern:
-    """Say that another mount suits the scans better, and how well."""
-    text = f"the scans would fit each other better with {better.option}"
-    if better.agreement is not None and better.agreement < SUSPECT:
-        share = f"{better.agreement:.0%} of the hits agree"
-        text = f"{text}, by which {share}: the poses may be wrong, too"
-    return Concern(text, {better.name: better.value})
+    if agreement is not None and agreement < SUSPECT:
+        text += f", by which {agreement:.0%} of the hits agree: the poses may be wrong, too"
+    return Concern(text, mended)
 
 
 class Mount(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.options import BuildOptions, Selection
-from occmap.posing import Stamps
+from occmap.posing import Concern, Doubt, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, Role, read_recorded
 from occmap.scans import TopicSample
@@ -197,6 +197,11 @@ def list_idle(log: Log, topics: Sequence[str], options: ReaderOptions) -> Iterat
         yield f"`echo={options.echo}` does nothing: no topic of scans holds {ECHOES}"
 
 
+def write_doubts(doubts: Iterable[Doubt]) -> list[str]:
+    """Write doubts as sentences that name their topics."""
+    return [f"{topic}: {concern.text}" for topic, concern in doubts]
+
+
 class Drive:
     """The scans of one log that are used, as a stream of batches: selected, limited and posed."""
 
@@ -293,20 +298,23 @@ class Drive:
         tally.dropped.update(selector.left_out)
         self._first_ns = selector.first_ns or 0
 
-    def list_doubts(self) -> Iterator[tuple[str, str]]:
+    def list_doubts(self) -> Iterator[Doubt]:
         """Say of which topics angles are odd, and where ranges or places can hardly be metres."""
-        yield from self._odd
+        yield from ((topic, Concern(oddity, command="")) for topic, oddity in self._odd)
         for topic in (topic for topic, it in self._middle_m.items() if FAR_M < it < math.inf):
             found = f"most ranges are above {FAR_M:g} m: ranges are metres"
-            yield topic, f"{found}; are these millimetres or centimetres?"
+            yield topic, Concern(f"{found}; are these millimetres or centimetres?", command="")
         yield from self.poser.suspect_places(self._middle_m)
 
-    def list_left(self) -> Iterator[str]:
-        """Say which clouds are left out where there are scans, and the user chose nothing."""
+    def list_remarks(self) -> Iterator[str]:
+        """Say what is chosen, and what is passed over, without being asked for."""
+        yield from list_idle(self.log, self.topics, self.options.reading)
         clouds = [it.topic for it in self.log.streams if it.role is Role.CLOUD and it.count]
         left = [topic for topic in clouds if topic not in self.topics]
         if left and not self.options.selection.topics:
             yield f"clouds are left out, as there are scans: `topics={left[0]}` maps clouds alone"
+        yield from self.poser.notes
+        yield from self.limits.list_notes()
 
     def list_notes(self, ground: Ground | None = None) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read.
@@ -316,15 +324,7 @@ class Drive:
         ground
             That clouds were traced over.
         """
-        concerns = self.poser.list_concerns(self._first_ns, self.options.returns.max_range)
-        # A list, as the poser takes notes meanwhile.
-        told = [f"{topic}: {concern.text}" for topic, concern in concerns]
-        return [
-            *list_idle(self.log, self.topics, self.options.reading),
-            *self.list_left(),
-            *self.poser.notes,
-            *map(": ".join, self.list_doubts()),
-            *(map(": ".join, self.poser.suspect_axes(ground)) if ground else ()),
-            *told,
-            *self.limits.list_notes(),
-        ]
+        # Lists, as the poser takes notes meanwhile.
+        told = [*self.poser.list_concerns(self._first_ns, self.options.returns.max_range)]
+        axes = [*self.poser.suspect_axes(ground)] if ground else []
+        return [*self.list_remarks(), *write_doubts([*self.list_doubts(), *axes, *told])]

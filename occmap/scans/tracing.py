@@ -23,7 +23,7 @@ from occmap.report import join_names
 from occmap.scans import Keep, make_engine
 from occmap.scans.logs import count_scans, open_scans, settle_update
 from occmap.scans.mounts import open_drive
-from occmap.scans.stream import Drive
+from occmap.scans.stream import Drive, write_doubts
 from occmap.scans.tally import LeftOut, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.threads import Threads
@@ -63,7 +63,7 @@ def trace_drive(drive: Drive, begin: Callable[[], Taker], tally: Tally) -> Taker
         except MapError as error:
             # Without scans that leap away the map may be small enough.
             if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
-                doubts = "; ".join(map(": ".join, drive.list_doubts()))
+                doubts = "; ".join(write_doubts(drive.list_doubts()))
                 raise MapError(error.found, where=error.where, fix=doubts or error.fix) from None
         else:
             if drive.settle():
