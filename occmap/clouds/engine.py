@@ -63,17 +63,19 @@ class Sheet:
         around = self._lattice.enclose(cloud.origin[None, :2], metres)
         return self.box.clip(around.align(TILE).shrink(TILE))
 
-    def has_room(self, box: CellBox) -> bool:
-        """Whether it has room for the tiles of a box that are not laid out yet."""
+    def lay_out(self, box: CellBox) -> bool:
+        """Lay out the tiles of a box that are not yet; say whether it has room for them."""
         table = self.canvas.tiles.table[box.within(self.box)]
         missing = int(np.count_nonzero(table == NOBODY_LOOKED))
-        return self.used + missing <= len(self.canvas.base)
+        has_room = self.used + missing <= len(self.canvas.base)
+        if missing and has_room:
+            inside = np.array(box.move(-self.box.row, -self.box.col))
+            tracing.lay_ground(self.canvas, inside, np.empty(TILE * TILE, np.int32))
+        return has_room
 
-    def observe(self, cloud: Cloud, band: Band, box: CellBox) -> None:
-        """Observe the cells of a cloud, which reaches the tiles of a box."""
-        inside = np.array(box.move(-self.box.row, -self.box.col))
-        tracing.lay_ground(self.canvas, inside, np.empty(TILE * TILE, np.int32))
-        points, cells = len(cloud.points) // 3, min(box.cells, self.used) * TILE * TILE
+    def observe(self, cloud: Cloud, band: Band, tiles: int) -> None:
+        """Observe the cells of a cloud, which reaches so many tiles, all laid out."""
+        points, cells = len(cloud.points) // 3, min(tiles, self.used) * TILE * TILE
         most_points, most_cells = len(self.room.floor), len(self.room.touched) - 1
         if most_points < points or most_cells < cells:
             self.room = tracing.make_room(max(points, most_points), max(cells, most_cells))
@@ -164,10 +166,11 @@ class CloudEngine(Engine):
                 self._empty(sheet)
                 sheet.number = number
             box = sheet.reach(cloud, self._band.farthest)
-            if not sheet.has_room(box):
+            if not sheet.lay_out(box):
                 self._empty(sheet)
                 sheet.clear(max(MANY_TILES, box.cells))
-            sheet.observe(cloud, self._band, box)
+                sheet.lay_out(box)
+            sheet.observe(cloud, self._band, box.cells)
         with self._lock:
             self._idle.append(sheet)
 
