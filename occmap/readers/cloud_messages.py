@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError
+from occmap.jit import kernel, step
 from occmap.readers import NoteList
 from occmap.readers.fields import get, get_bytes, get_header, get_list, get_row, get_whole, look
-from occmap.types import Bool, Cloud, Float32, Int64, UInt8
+from occmap.types import Bool, Cloud, Float32, Int32, Int64, UInt8
 from occmap.values import as_text, shorten
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
@@ -143,7 +144,7 @@ def make_cloud(
             offset_ns, found = find_offsets(columns[name], points, header[0])
             times = f"{name}, {found}" if found else ""
             return Cloud(*header, points, offset_ns, None, topic, record_ns, times)
-    return Cloud(*header, points, None, None, topic, record_ns)
+    return Cloud(*header, leave_out_flying(points), None, None, topic, record_ns)
 
 
 def stack_points(axes: Sequence[NDArray[Any]]) -> Float32:
@@ -330,31 +331,126 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     if depth.shape != (camera.height, camera.width):
         found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
         raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(camera, depth))
+    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(depth, camera.fx))
     z = depth[row, column]
     x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
-    return make_cloud({"x": x, "y": y, "z": z}, get_header(message), topic, record_ns)
+    return Cloud(*get_header(message), stack_points([x, y, z]), None, None, topic, record_ns)
 
 
-FLYING_M, FLYING_SHARE, BESIDE_M = 0.1, 0.03, 0.15
-"""At an edge, a pixel so far (m, or this share of its depth) from both things mixes the two, unless
-pixels of a wall so far beside the camera, or of a floor so far below it, are as far from each
-other"""
+FLYING_M, FLYING_SHARE, FLYING_PIXELS = 0.1, 0.03, 5
+"""At an edge, a pixel so far (m, this share of its depth, or widths of a pixel there) from both
+things mixes the two"""
+EDGE, BESIDE, STEEPER = 2, 3, 2
+"""An edge blurs so many pixels; so many more beside them show how a surface slants, and an edge is
+so many times as steep"""
+RIM = EDGE + BESIDE
+FEWEST, SAMPLE, PRIME = 1 << 8, 1 << 12, 7919
+"""Fewer points do not show if they are pixels; so many do, at steps that are in time with no row"""
+FINEST, OFF, MOST_PIXELS = 1e-4, 0.2, 1 << 12
+"""A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
+more pixels from one another"""
 
 
-def find_flying(camera: Camera, depth: Float32) -> Bool:
-    """Find pixels (H, W) that hang in the air between a nearer and a farther one beside them.
+def find_flying(depth: Float32, focal: float) -> Bool:
+    """Find pixels (H, W) that hang in the air between a nearer and a farther thing beside them.
 
-    A pole one pixel wide is nearer than both.
+    A pole is nearer than both of its sides; and along a surface, however it slants, one over the
+    depth grows evenly.
+
+    Parameters
+    ----------
+    focal
+        How many pixels are a metre at 1 m.
     """
-    flying = np.zeros(depth.shape, np.bool_)
-    with np.errstate(invalid="ignore", over="ignore"):
-        for lines, found, focal in (depth, flying, camera.fx), (depth.T, flying.T, camera.fy):
-            before, here, after = lines[:, :-2], lines[:, 1:-1], lines[:, 2:]
-            at = np.nonzero(np.abs(after - before) > 2 * FLYING_M)  # only few, so that it is quick
-            (near, far), here = np.sort([before[at], after[at]], axis=0), here[at]
-            slant = here**2 / (BESIDE_M * focal)
-            least = np.maximum(slant, FLYING_SHARE * here).clip(FLYING_M)
-            between = (near > 0) & (here - near > least) & (far - here > least) & (far < np.inf)
-            found[:, 1:-1][at] |= between
-    return flying
+    seen = np.where((depth > 0) & (depth < np.inf), depth, np.nan)
+    wide = np.pad(seen, RIM, constant_values=np.nan)
+    flying = np.zeros(wide.shape, np.uint8)
+    share = max(FLYING_SHARE, FLYING_PIXELS / focal)
+    mark_flying(wide.reshape(-1), wide.shape[1], share, flying.reshape(-1))
+    return flying[RIM:-RIM, RIM:-RIM].astype(np.bool_)
+
+
+@kernel
+def mark_flying(depth: Float32, width: int, share: float, flying: UInt8) -> None:
+    """Mark pixels (H W,) that hang in the air; around the image are `RIM` that are NaN."""
+    for i in range(RIM * width, depth.size - RIM * width):
+        if depth[i] > 0:
+            least = max(FLYING_M, share * depth[i])
+            for way in (1, -1, width, -width):
+                flying[i] |= is_between(depth, i, way, least)
+
+
+@step
+def is_between(depth: Float32, i: int, way: int, least: float) -> bool:
+    """Whether a pixel is between something nearer before it and something farther after it."""
+    here, start, end = depth[i], depth[i - EDGE * way], depth[i + EDGE * way]
+    near, far = np.fmin(start, depth[i - way]), np.fmax(depth[i + way], end)
+    if not (here - near > least and far - here > least):
+        return False
+    before, after = depth[i - RIM * way], depth[i + RIM * way]
+    slant = np.fmin(1 / before - 1 / start, 1 / end - 1 / after) * (2 * EDGE / BESIDE)
+    return not 1 / near - 1 / far <= STEEPER * slant  # nor where nothing shows the slant
+
+
+def leave_out_flying(points: Float32) -> Float32:
+    """Leave out those of some points (N, 3) that hang in the air, if a depth camera saw them all.
+
+    It looks along z, and its pixels are even steps of x / z and of y / z.
+    """
+    if len(points) < FEWEST or (points[:: len(points) // 64, 2] < 0).any():  # nearly all others
+        return points
+    some = points[np.arange(min(SAMPLE, len(points))) * PRIME % len(points)]
+    some = some[some[:, 2] != 0]
+    if not (some[:, 2] >= 0).any() or (some[:, 2] < 0).any():
+        return points
+    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
+        across, down = find_step(some[:, 0] / some[:, 2]), find_step(some[:, 1] / some[:, 2])
+    if not (across and down):
+        return points
+    points, pixels = np.array(points), np.empty((3, len(points)), np.int32)
+    many = place_pixels(points.reshape(-1), across, down, pixels)
+    if many == 0:
+        return points
+    which, col, row = pixels[:, :many]
+    col, row = col - col.min(), row - row.min()
+    depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
+    depth[row, col] = points[which, 2]
+    points[which[find_flying(depth, 1 / across[1])[row, col]]] = np.nan
+    return points
+
+
+def find_step(slopes: Float32) -> tuple[float, float] | None:
+    """Find the least of some slopes, and the width of a pixel, if they are even steps."""
+    order = np.sort(slopes[np.isfinite(slopes)]).astype(np.float64)
+    gaps = np.diff(order)
+    if not (gaps > FINEST).any():
+        return None
+    steps = np.rint(gaps / np.median(gaps[gaps > FINEST])).cumsum()
+    width = (order[-1] - order[0]) / max(steps[-1], 1)
+    is_even = np.abs((order[1:] - order[0]) / width - steps).max() < OFF
+    return (float(order[0]), float(width)) if is_even else None
+
+
+@kernel
+def place_pixels(
+    points: Float32, across: tuple[float, float], down: tuple[float, float], pixels: Int32
+) -> int:
+    """Say in which column and row some points (3 N,) lie; return how many do, 0 if one is far off.
+
+    Parameters
+    ----------
+    across, down
+        Slopes in the middle of a column and of a row, and how far it is to the next.
+    pixels
+        (3, N) which points were seen, their columns and their rows; written.
+    """
+    many = 0
+    for i in range(points.size // 3):
+        x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
+        if 0 < z < np.inf and np.isfinite(x) and np.isfinite(y):
+            col, row = (x / z - across[0]) / across[1], (y / z - down[0]) / down[1]
+            if max(abs(col), abs(row)) > MOST_PIXELS:
+                return 0
+            pixels[0, many], pixels[1, many], pixels[2, many] = i, np.rint(col), np.rint(row)
+            many += 1
+    return many

@@ -12,7 +12,7 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
 from occmap.readers import Role, open_log, read_recorded
-from occmap.readers.cloud_messages import Camera, convert_cloud, find_flying, find_offsets
+from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets
 from occmap.scans.logs import choose_topics
 from occmap.types import Cloud, Pose
 from tests.readers.clouds import cloud, image, info, listed, livox, packed
@@ -239,17 +239,22 @@ def test_a_depth_image_is_a_point_for_each_pixel(
     assert notes == []
 
 
+WALL = 1 / np.linspace(0.5, 0.1, 13)
+
+
 @pytest.mark.parametrize(
     ("depths", "flying"),
     [
         ([1.0, 1.0, 2.0, 4.0, 4.0], [2]),
-        ([4.0, 4.0, 2.0, 1.0, 1.0], [2]),
+        ([4.0, 4.0, 2.5, 2.0, 1.0, 1.0], [2, 3]),  # an edge that blurs two
+        ([1.0, 2.0, 0.0, 4.0], [1]),
         ([4.0, 2.0, 4.0], []),  # a pole
+        ([4.0, 4.0, 3.0, 2.0, 3.0, 0.0, 4.0, 4.0], [2, 4]),  # another, which blurs
         ([1.0, 1.0, 4.0, 4.0], []),
-        ([1.0, 1.09, 4.0], []),  # a wall that is seen at a slant
+        ([1.0, 1.09, 4.0], []),
         ([5.0, 5.14, 6.0], []),
-        ([4.0, 4.4, 4.9], []),  # a wall 0.15 m beside the camera grows by 0.53 m a pixel there
-        ([4.0, 4.8, 5.7], [1]),
+        (WALL, []),  # at any slant
+        ([*WALL[:7], *[40.0] * 6], [5, 6]),  # but what ends it so far away
         ([0.0, 2.0, 4.0], []),
         ([1.0, 2.0, np.nan], []),
         ([1.0, 2.0, np.inf], []),
@@ -261,9 +266,28 @@ def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
     depths: list[float], flying: list[int]
 ) -> None:
     row = np.array([depths], np.float32)
-    camera = Camera(0, 0, 200.0, 200.0, 0.0, 0.0)
-    for found in (find_flying(camera, row), find_flying(camera, row.T)):
+    for found in find_flying(row, 200.0), find_flying(row[:, ::-1], 200.0)[:, ::-1]:
         assert np.flatnonzero(found).tolist() == flying
+    assert np.flatnonzero(find_flying(row.T, 200.0)).tolist() == flying
+    assert not find_flying(row, 2.0).any()  # pixels as wide as that may be three things
+
+
+def test_points_of_a_camera_in_any_order_are_its_pixels() -> None:
+    depth = np.where(np.arange(40) < 20, 1.0, 4.0) * np.ones((30, 1))
+    depth[5:25, 20], depth[::3, ::7] = 2.0, np.nan
+    row, col = np.indices(depth.shape)
+    x, y = (col - 19.5) / 50 * depth, (row - 14.5) / 50 * depth
+    points = np.stack([x, y, depth], axis=-1).reshape(-1, 3)
+    order = np.random.default_rng(1).permutation(len(points))
+
+    for seen in points, points[order], points[order][~np.isnan(points[order, 2])]:
+        found = np.array(decode(cloud(ROS2, seen.tolist())))
+        known = seen[np.isfinite(found).all(axis=1)]
+        assert 2.0 in seen[:, 2]
+        assert sorted(set(known[:, 2])) == [1.0, 4.0]
+        assert len(known) == np.isfinite(depth).sum() - (depth == 2.0).sum()
+    for others in points[:, [2, 0, 1]], points * (1, 1, -1), points[:200]:
+        np.testing.assert_array_equal(decode(cloud(ROS2, others.tolist())), others.astype("f4"))
 
 
 def test_a_camera_of_the_same_frame_on_any_topic_will_do(tmp_path: Path) -> None:
