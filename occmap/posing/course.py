@@ -145,19 +145,12 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     """
     if chain and (mixed := warn_of_mixed(chain, track.stamp_ns, first_ns)):
         return mixed
-    chain = chain or make_chain([Edge("", "", track, Source.ODOMETRY)], None)
-    found = find_jumps(chain, track.stamp_ns)
+    stated = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
+    found = find_jumps(chain or stated, track.stamp_ns)
     if not found:
         return None
-    jumps, limit = list(found.values()), math.ceil(STRIDE_TIMES * list_speeds(track)[1])
-    stays = ~find_outliers(track, limit)
-    if find_jumps(chain, track.stamp_ns[stays]):
-        scans = np.diff([0, *found, len(track)])
-        remedy = keep_longest(scans, [(each.stamp_ns, each.stamp_ns) for each in jumps], first_ns)
-        kept, share = "keeps the longest part", scans.max() / len(track)
-    else:
-        remedy = {"max_speed": str(limit)}
-        kept, share = "leaves out what lies elsewhere, and keeps the others", stays.mean()
+    scans, jumps = np.diff([0, *found, len(track)]), list(found.values())
+    remedy = keep_longest(scans, [(each.stamp_ns, each.stamp_ns) for each in jumps], first_ns)
     worst = max(jumps, key=lambda jump: jump.metres + jump.radians)
     text = (
         f"{worst.name} jumps by {worst.metres:.3g} m and {math.degrees(worst.radians):.0f} deg "
@@ -165,7 +158,7 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     )
     text += f", the largest of {len(jumps)} jumps" if len(jumps) > 1 else ""
     unless = "" if worst.is_correction else "unless the robot did so, as in a simulator, "
-    keep = f"{mark_options(remedy)} {kept}, {share:.0%} of them"
+    keep = f"{mark_options(remedy)} keeps the longest part, {scans.max() / len(track):.0%} of them"
     why = "scans from before and after do not fit together"
     return Concern(f"{text}: {unless}{why}; {keep}", remedy)
 
@@ -223,7 +216,8 @@ def find_strides(track: Track) -> Int64:
     """
     if len(track) < 3:
         return np.zeros(0, np.int64)
-    speed, usual = list_speeds(track)
+    speed = track.step_m / np.maximum(track.interval_s, 1e-3)
+    usual = max(SLOW_M_PER_S, float(np.quantile(speed, 0.95)))
     long_m = max(STRIDE_M, LONG_STEPS * float(np.quantile(track.step_m, 0.95)))
     far = (track.step_m > long_m) & (track.interval_s <= STRIDE_S)
     steps = np.flatnonzero(far & (speed > STRIDE_TIMES * usual))
@@ -233,12 +227,6 @@ def find_strides(track: Track) -> Int64:
     fast = np.partition(beside_m_per_s, -FASTEST_BESIDE, axis=1)[:, -FASTEST_BESIDE]
     strides: Int64 = steps[speed[steps] > STRIDE_TIMES * fast]
     return strides
-
-
-def list_speeds(track: Track) -> tuple[Float64, float]:
-    """List the speed of each step (N - 1,; m/s), and to what nearly all of them keep."""
-    speed = track.step_m / np.maximum(track.interval_s, 1e-3)
-    return speed, max(SLOW_M_PER_S, float(np.quantile(speed, 0.95)))
 
 
 def list_turns(track: Track, scans_ns: Int64, times: float) -> Int64:

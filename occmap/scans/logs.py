@@ -258,6 +258,7 @@ def find_inputs(
                 open_log(each, options)
             except LogError as error:
                 told = f"passed over, though named like a recording: {error.found}"
+                # Text may be anything, but a bag or an MCAP file was recorded.
                 notes.append(Note(f"{each}: {told}", damage=each.suffix in RECORDED))
     return logs, notes
 
