@@ -1,7 +1,8 @@
 """What clouds show of the ground: heights of their points, counted in columns, and their path."""
 
+import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from threading import Lock
 from typing import NamedTuple, TypeAlias
@@ -33,8 +34,8 @@ SHORT_MM = 150
 
 Sensor: TypeAlias = tuple[str, str, str]
 """A log, a topic and a frame, which is "" where clouds are in the map already"""
-Drawn: TypeAlias = tuple[float, float]
-"""Numbers for the area, and for the square in it, where a cloud was made"""
+Drawn: TypeAlias = tuple[float, float, int, int]
+"""Numbers for the area, and for the square in it, where a cloud was made, and its x and y (mm)"""
 View: TypeAlias = tuple[int, str, str, str, int, int, int]
 """When a cloud was made (ns), by which sensor, and where that was (mm)"""
 
@@ -83,7 +84,7 @@ class Counter:
         self._idle: list[Histogram] = []
         self._ways: defaultdict[Sensor, list[tuple[int, int, int, int]]] = defaultdict(list)
         """Where each sensor was (mm), and when (ns)"""
-        self._views: dict[Drawn, tuple[View, Cloud]] = {}
+        self._views: dict[tuple[float, float], tuple[View, Cloud]] = {}
         """The earliest clouds of those squares for which the lowest numbers were drawn"""
         self._lock = Lock()
 
@@ -122,7 +123,10 @@ class Counter:
     def count(self) -> Counted:
         """Give what was counted."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
-        views = {drawn: sample_points(cloud) for drawn, (_, cloud) in self._views.items()}
+        views = {
+            (*drawn, *view[-3:-1]): sample_points(cloud)
+            for drawn, (view, cloud) in self._views.items()
+        }
         return Counted(add_tables(self._idle), paths, views, {})
 
     @property
@@ -147,10 +151,20 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
     known = sorted(parts, key=lambda each: list(each.paths))  # in one order, however they come
     for each in known:
         paths |= each.paths
-        views = dict(sorted((each.views | views).items())[:UPRIGHT_CLOUDS])
+        views |= each.views
         drifts |= each.drifts
     table = add_tables([each.table for each in known])
-    return Counted(table, dict(sorted(paths.items())), views, drifts)
+    return Counted(table, dict(sorted(paths.items())), keep_apart(views), drifts)
+
+
+def keep_apart(views: Mapping[Drawn, Float64]) -> dict[Drawn, Float64]:
+    """Keep the first views that are not of one place, which may lie in several squares."""
+    kept = dict[Drawn, Float64]()
+    for drawn, points in sorted(views.items()):
+        apart = min((math.dist(drawn[2:], other[2:]) for other in kept), default=math.inf)
+        if apart >= PLACE_MM / 2 and len(kept) < UPRIGHT_CLOUDS:
+            kept[drawn] = points
+    return kept
 
 
 def make_table(size: int) -> Histogram:

@@ -331,13 +331,14 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     if depth.shape != (camera.height, camera.width):
         found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
         raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(depth, camera.fx))
+    flying = find_flying(depth, min(camera.fx, camera.fy))
+    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~flying)
     z = depth[row, column]
     x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
     return Cloud(*get_header(message), stack_points([x, y, z]), None, None, topic, record_ns)
 
 
-FLYING_M, FLYING_SHARE, FLYING_PIXELS = 0.1, 0.03, 5
+FLYING_M, FLYING_SHARE, FLYING_PIXELS = 0.1, 0.03, 10
 """At an edge, a pixel so far (m, this share of its depth, or widths of a pixel there) from both
 things mixes the two"""
 EDGE, BESIDE, STEEPER = 2, 3, 2
@@ -388,7 +389,7 @@ def is_between(depth: Float32, i: int, way: int, least: float) -> bool:
     if not (here - near > least and far - here > least):
         return False
     before, after = depth[i - RIM * way], depth[i + RIM * way]
-    slant = np.fmin(1 / before - 1 / start, 1 / end - 1 / after) * (2 * EDGE / BESIDE)
+    slant = np.fmax(1 / before - 1 / start, 1 / end - 1 / after) * (2 * EDGE / BESIDE)
     return not 1 / near - 1 / far <= STEEPER * slant  # nor where nothing shows the slant
 
 
@@ -409,13 +410,13 @@ def leave_out_flying(points: Float32) -> Float32:
         return points
     points, pixels = np.array(points), np.empty((3, len(points)), np.int32)
     many = place_pixels(points.reshape(-1), across, down, pixels)
-    if many == 0:
+    if many == 0:  # a flipped bit, too
         return points
     which, col, row = pixels[:, :many]
     col, row = col - col.min(), row - row.min()
     depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
     depth[row, col] = points[which, 2]
-    points[which[find_flying(depth, 1 / across[1])[row, col]]] = np.nan
+    points[which[find_flying(depth, 1 / max(across[1], down[1]))[row, col]]] = np.nan
     return points
 
 
@@ -435,7 +436,7 @@ def find_step(slopes: Float32) -> tuple[float, float] | None:
 def place_pixels(
     points: Float32, across: tuple[float, float], down: tuple[float, float], pixels: Int32
 ) -> int:
-    """Say in which column and row some points (3 N,) lie; return how many do, 0 if one is far off.
+    """Say in which column and row some points (3 N,) lie, if not far off; return how many do.
 
     Parameters
     ----------
@@ -449,8 +450,7 @@ def place_pixels(
         x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
         if 0 < z < np.inf and np.isfinite(x) and np.isfinite(y):
             col, row = (x / z - across[0]) / across[1], (y / z - down[0]) / down[1]
-            if max(abs(col), abs(row)) > MOST_PIXELS:
-                return 0
-            pixels[0, many], pixels[1, many], pixels[2, many] = i, np.rint(col), np.rint(row)
-            many += 1
+            if max(abs(col), abs(row)) <= MOST_PIXELS:
+                pixels[0, many], pixels[1, many], pixels[2, many] = i, np.rint(col), np.rint(row)
+                many += 1
     return many

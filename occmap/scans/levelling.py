@@ -128,8 +128,8 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
         if after.spread > before.spread - SHARPER or after.shared <= before.shared:
             if not after.shared:
                 found.notes.append(
-                    "the floor leans by {:.1f} degrees, and clouds from one place do not show if "
-                    "the walls do: `level=({:g},{:g})` lays it flat".format(
+                    "the floor leans by {:.1f} degrees, and clouds of different places share no "
+                    "walls that would show if these do: `level=({:g},{:g})` lays it flat".format(
                         math.hypot(*wanted), *wanted
                     )
                 )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground, OccupancyMap
-from occmap.clouds.counting import Counted, count_clouds
+from occmap.clouds.counting import Counted, count_clouds, keep_apart
 from occmap.errors import MapError
 from occmap.fleet import Fleet
 from occmap.options import BuildOptions
@@ -138,6 +138,13 @@ def test_clouds_that_show_walls_do_not_depend_on_their_order() -> None:
     views, seen = count_clouds(clouds[::-1]).views, count_clouds(clouds).views
     assert views.keys() == seen.keys()
     assert all(np.array_equal(views[drawn], seen[drawn]) for drawn in seen)
+
+
+def test_views_of_one_place_that_lies_in_two_squares_are_one() -> None:
+    rest = [(0.2, n / 100, 1000 * n, 5000) for n in range(30)]
+    first, same, other = (0.1, 0.3, 999, 0), (0.1, 0.4, 1001, 0), (0.1, 0.2, 1500, 0)
+    views = dict.fromkeys([*rest, same, first, other], np.zeros((0, 3)))
+    assert list(keep_apart(views)) == [other, first, *rest[:18]]
 
 
 def test_a_floor_without_walls_does_not_tell_if_it_climbs() -> None:
