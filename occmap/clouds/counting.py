@@ -26,6 +26,8 @@ FIRST_SIZE = 1 << 14
 """Of a table, which grows"""
 UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
 """So many clouds, and about so many points of each, show if walls stand upright"""
+LOG_CLOUDS = 5
+"""So many of each log at least: many logs of one way have the same"""
 PLACE_MM, AREA_MM = 1000, 30_000
 """Clouds of one square see walls alike, so one of them is enough; those of one area see the same"""
 SHORT_MM = 150
@@ -34,8 +36,8 @@ SHORT_MM = 150
 
 Sensor: TypeAlias = tuple[str, str, str]
 """A log, a topic and a frame, which is "" where clouds are in the map already"""
-Drawn: TypeAlias = tuple[float, float, int, int]
-"""Numbers for the area, and for the square in it, where a cloud was made, and its x and y (mm)"""
+Drawn: TypeAlias = tuple[float, float]
+"""Numbers for the area, and for the square in it, where a cloud was made"""
 View: TypeAlias = tuple[int, str, str, str, int, int, int]
 """When a cloud was made (ns), by which sensor, and where that was (mm)"""
 
@@ -46,8 +48,8 @@ class Counted(NamedTuple):
     table: Histogram
     paths: dict[Sensor, Int64]
     """(P, 3) where each sensor went (mm)"""
-    views: dict[Drawn, Float64]
-    """(N, 3) where some points of a few clouds lie (m)"""
+    views: dict[Drawn, tuple[View, Float64]]
+    """A few clouds, and (N, 3) where some of their points lie (m)"""
     drifts: dict[str, Drift]
     """By what heights are corrected, by log"""
 
@@ -84,7 +86,7 @@ class Counter:
         self._idle: list[Histogram] = []
         self._ways: defaultdict[Sensor, list[tuple[int, int, int, int]]] = defaultdict(list)
         """Where each sensor was (mm), and when (ns)"""
-        self._views: dict[tuple[float, float], tuple[View, Cloud]] = {}
+        self._views: dict[Drawn, tuple[View, Cloud]] = {}
         """The earliest clouds of those squares for which the lowest numbers were drawn"""
         self._lock = Lock()
 
@@ -123,10 +125,7 @@ class Counter:
     def count(self) -> Counted:
         """Give what was counted."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
-        views = {
-            (*drawn, *view[-3:-1]): sample_points(cloud)
-            for drawn, (view, cloud) in self._views.items()
-        }
+        views = {drawn: (view, sample_points(it)) for drawn, (view, it) in self._views.items()}
         return Counted(add_tables(self._idle), paths, views, {})
 
     @property
@@ -147,24 +146,26 @@ def count_clouds(clouds: Iterable[PosedScans], ground: Ground | None = None) -> 
 
 def join_counted(parts: Iterable[Counted]) -> Counted:
     """Add up what was counted of different logs, maybe by several processes."""
-    paths, views, drifts = dict[Sensor, Int64](), dict[Drawn, Float64](), dict[str, Drift]()
-    known = sorted(parts, key=lambda each: list(each.paths))  # in one order, however they come
-    for each in known:
+    tables = list[Histogram]()
+    paths, drifts = dict[Sensor, Int64](), dict[str, Drift]()
+    views: dict[Drawn, tuple[View, Float64]] = {}
+    for each in parts:
+        tables.append(each.table)
         paths |= each.paths
-        views |= each.views
         drifts |= each.drifts
-    table = add_tables([each.table for each in known])
-    return Counted(table, dict(sorted(paths.items())), keep_apart(views), drifts)
+        for drawn, seen in each.views.items():
+            views[drawn] = min(views.get(drawn, seen), seen, key=itemgetter(0))
+        views = dict(sorted(views.items())[:UPRIGHT_CLOUDS])
+    return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts)
 
 
-def keep_apart(views: Mapping[Drawn, Float64]) -> dict[Drawn, Float64]:
-    """Keep the first views that are not of one place, which may lie in several squares."""
-    kept = dict[Drawn, Float64]()
-    for drawn, points in sorted(views.items()):
-        apart = min((math.dist(drawn[2:], other[2:]) for other in kept), default=math.inf)
-        if apart >= PLACE_MM / 2 and len(kept) < UPRIGHT_CLOUDS:
-            kept[drawn] = points
-    return kept
+def list_apart(views: Mapping[Drawn, tuple[View, Float64]]) -> list[Float64]:
+    """List points of those views that are not of one place, which may lie in several squares."""
+    kept = list[tuple[View, Float64]]()
+    for _, (view, points) in sorted(views.items()):
+        if all(math.dist(view[-3:], other[-3:]) >= PLACE_MM / 2 for other, _ in kept):
+            kept.append((view, points))
+    return [points for _, points in kept]
 
 
 def make_table(size: int) -> Histogram:

@@ -85,7 +85,7 @@ def derive_ground(
     """
     columns = read_columns(counted.table, counted.path, known)
     blocks = columns.blocks
-    seen = np.concatenate([np.zeros((0, 3)), *counted.views.values()])
+    seen = np.concatenate([np.zeros((0, 3)), *(points for _, points in counted.views.values())])
     apart = np.abs(seen[:, 2] - counted.path[:1, 2] / 1000)
     if not columns.filled and (apart > heights.FAR_M).sum() > len(apart) / 2:
         raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
@@ -438,7 +438,11 @@ def measure_seat(
     Seat or None
         None where nothing lies below them, and no height is given.
     """
-    sensors, path, under = tuple(paths), thin_path(*paths.values()), find_nothing(columns)
+    sensors, path, under = (
+        tuple(paths),
+        thin_path(np.concatenate([*paths.values()])),
+        find_nothing(columns),
+    )
     band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
     seen = look_beside(columns, path, (UNDER, 0, 0), Layer(*band, STRAY), under)
     beside, share, lean = BESIDE, 0.5, (0.0, 0.0)

@@ -345,11 +345,11 @@ EDGE, BESIDE, STEEPER = 2, 3, 2
 """An edge blurs so many pixels; so many more beside them show how a surface slants, and an edge is
 so many times as steep"""
 RIM = EDGE + BESIDE
-FEWEST, SAMPLE, PRIME = 1 << 8, 1 << 12, 7919
+FEWEST, SAMPLE, STRIDE = 1 << 8, 1 << 12, 7919
 """Fewer points do not show if they are pixels; so many do, at steps that are in time with no row"""
-FINEST, OFF, MOST_PIXELS = 1e-4, 0.2, 1 << 12
+FINEST, OFF, MOST_PIXELS, MOST_EMPTY = 1e-4, 0.2, 1 << 12, 16
 """A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
-more pixels from one another"""
+more pixels from one another, in an image of no more pixels for each of them"""
 
 
 def find_flying(depth: Float32, focal: float) -> Bool:
@@ -400,7 +400,8 @@ def leave_out_flying(points: Float32) -> Float32:
     """
     if len(points) < FEWEST or (points[:: len(points) // 64, 2] < 0).any():  # nearly all others
         return points
-    some = points[np.arange(min(SAMPLE, len(points))) * PRIME % len(points)]
+    stride = STRIDE + (len(points) % STRIDE == 0)
+    some = points[np.arange(min(SAMPLE, len(points))) * stride % len(points)]
     some = some[some[:, 2] != 0]
     if not (some[:, 2] >= 0).any() or (some[:, 2] < 0).any():
         return points
@@ -410,9 +411,9 @@ def leave_out_flying(points: Float32) -> Float32:
         return points
     points, pixels = np.array(points), np.empty((3, len(points)), np.int32)
     many = place_pixels(points.reshape(-1), across, down, pixels)
-    if many == 0:  # a flipped bit, too
-        return points
     which, col, row = pixels[:, :many]
+    if many == 0 or np.ptp(col) * np.ptp(row) > MOST_EMPTY * many:  # a flipped bit, too
+        return points
     col, row = col - col.min(), row - row.min()
     depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
     depth[row, col] = points[which, 2]

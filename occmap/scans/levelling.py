@@ -14,7 +14,14 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import FLAT
-from occmap.clouds.counting import UPRIGHT_CLOUDS, Counted, Counter, join_counted
+from occmap.clouds.counting import (
+    LOG_CLOUDS,
+    UPRIGHT_CLOUDS,
+    Counted,
+    Counter,
+    join_counted,
+    list_apart,
+)
 from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, name_log
 from occmap.evidence import refuse_other
@@ -117,7 +124,7 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
     start, turned = place.position[0], place.rotation[0]
     if np.linalg.norm(counted.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
-    views = [points - start for points in counted.views.values()]
+    views = [points - start for points in list_apart(counted.views)]
     for _ in range(LEVEL_ROUNDS):
         wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
@@ -128,8 +135,8 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
         if after.spread > before.spread - SHARPER or after.shared <= before.shared:
             if not after.shared:
                 found.notes.append(
-                    "the floor leans by {:.1f} degrees, and clouds of different places share no "
-                    "walls that would show if these do: `level=({:g},{:g})` lays it flat".format(
+                    "the floor leans by {:.1f} degrees; no two places see the same, which would "
+                    "show if walls lean, too: `level=({:g},{:g})` lays it flat".format(
                         math.hypot(*wanted), *wanted
                     )
                 )
@@ -273,7 +280,7 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     """
     log, posing = str(drive.log.path), drive.options.posing
     share = count_scans(drive.log, drive.options.selection.topics) / max(clouds, 1)
-    views = max(math.ceil(UPRIGHT_CLOUDS * share), 1)
+    views = max(math.ceil(UPRIGHT_CLOUDS * share), LOG_CLOUDS)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground, OccupancyMap
-from occmap.clouds.counting import Counted, count_clouds, keep_apart
+from occmap.clouds import CloudOptions
+from occmap.clouds.counting import Counted, Counter, count_clouds, join_counted, list_apart
+from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError
 from occmap.fleet import Fleet
 from occmap.options import BuildOptions
@@ -133,18 +135,37 @@ def test_one_place_does_not_show_if_walls_lean_and_a_user_may_say_it() -> None:
     assert re.search(r"leans by (2\.[7-9]|3\.\d) degrees.*`level=\(-", notes[-1])
 
 
-def test_clouds_that_show_walls_do_not_depend_on_their_order() -> None:
+def test_views_and_ground_of_several_logs_do_not_depend_on_any_order() -> None:
     clouds = wait(lean(drive(Room()), turn(3, 0, 0)))
-    views, seen = count_clouds(clouds[::-1]).views, count_clouds(clouds).views
-    assert views.keys() == seen.keys()
-    assert all(np.array_equal(views[drawn], seen[drawn]) for drawn in seen)
+    found = []
+    for order in slice(None), slice(None, None, -1):
+        counters = [Counter(len(clouds), log, views=4) for log in "ab"]
+        for each in clouds[order]:
+            counters[each.batch.stamp_ns[0] % 2].add(each)
+        found.append(join_counted([it.count() for it in counters][order]))
+    one, other = found
+    assert one.views.keys() == other.views.keys()
+    for drawn, (view, points) in one.views.items():
+        assert other.views[drawn][0] == view
+        np.testing.assert_array_equal(other.views[drawn][1], points)
+    ground, _ = derive_ground(one, CloudOptions())  # of two sensors as high as each other
+    np.testing.assert_array_equal(
+        derive_ground(other, CloudOptions())[0].height_mm, ground.height_mm
+    )
 
 
 def test_views_of_one_place_that_lies_in_two_squares_are_one() -> None:
-    rest = [(0.2, n / 100, 1000 * n, 5000) for n in range(30)]
-    first, same, other = (0.1, 0.3, 999, 0), (0.1, 0.4, 1001, 0), (0.1, 0.2, 1500, 0)
-    views = dict.fromkeys([*rest, same, first, other], np.zeros((0, 3)))
-    assert list(keep_apart(views)) == [other, first, *rest[:18]]
+    places = {
+        (0.1, 0.2): (1500, 0),
+        (0.1, 0.3): (999, 0),
+        (0.1, 0.4): (1001, 0),
+        (0.2, 0.1): (0, 0),
+    }
+    views = {
+        drawn: ((0, "log", "topic", "frame", *place, 0), np.full((1, 3), float(place[0])))
+        for drawn, place in places.items()
+    }
+    assert [points[0, 0] for points in list_apart(views)] == [1500, 999, 0]
 
 
 def test_a_floor_without_walls_does_not_tell_if_it_climbs() -> None:
