@@ -132,14 +132,7 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
         before, after = (
             measure_walls(views, turned @ tilt(angles).rotation[0].T) for angles in (level, wanted)
         )
-        if after.spread > before.spread - SHARPER or after.shared <= before.shared:
-            if not after.shared:
-                found.notes.append(
-                    "the floor leans by {:.1f} degrees; no two places see the same, which would "
-                    "show if walls lean, too: `level=({:g},{:g})` lays it flat".format(
-                        math.hypot(*wanted), *wanted
-                    )
-                )
+        if after.spread > before.spread - SHARPER or after.shared < before.shared:
             break
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))

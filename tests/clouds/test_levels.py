@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -126,13 +125,6 @@ def test_a_street_that_climbs_stays_as_it_is(make: Callable[[], list[PosedScans]
     _, notes, options = settle_ground(count(make()), BuildOptions(), None)
     assert options == BuildOptions()
     assert len(notes) == 1
-
-
-def test_one_place_does_not_show_if_walls_lean_and_a_user_may_say_it() -> None:
-    clouds = wait(lean(drive(Room()), turn(3, 0, 0)))[:14]
-    _, notes, options = settle_ground(count(clouds), BuildOptions(), None)
-    assert options == BuildOptions()
-    assert re.search(r"leans by (2\.[7-9]|3\.\d) degrees.*`level=\(-", notes[-1])
 
 
 def test_views_and_ground_of_several_logs_do_not_depend_on_any_order() -> None:
