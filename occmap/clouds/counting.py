@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from threading import Lock
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,8 @@ Drawn: TypeAlias = tuple[float, float]
 """Numbers for the area, and for the square in it, where a cloud was made"""
 View: TypeAlias = tuple[int, str, str, str, int, int, int]
 """When a cloud was made (ns), by which sensor, and where that was (mm)"""
+
+Kept = TypeVar("Kept")
 
 
 class Counted(NamedTuple):
@@ -113,14 +115,10 @@ class Counter:
         """Keep where a cloud was made, and the cloud if it may show whether walls stand upright."""
         x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
         area, square = (draw((x // side << 32) + y // side) for side in (AREA_MM, PLACE_MM))
-        view = (stamp_ns, *sensor, x, y, z), cloud
+        seen = (stamp_ns, *sensor, x, y, z), cloud
         with self._lock:
             self._ways[sensor].append((x, y, z, stamp_ns))
-            # The least, not the first: threads hand them over in any order.
-            known = self._views.get((area, square), view)
-            self._views[area, square] = min(known, view, key=itemgetter(0))
-            if len(self._views) > self._most_views:
-                del self._views[max(self._views)]
+            keep_view(self._views, (area, square), seen, self._most_views)
 
     def count(self) -> Counted:
         """Give what was counted."""
@@ -154,9 +152,18 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
         paths |= each.paths
         drifts |= each.drifts
         for drawn, seen in each.views.items():
-            views[drawn] = min(views.get(drawn, seen), seen, key=itemgetter(0))
-        views = dict(sorted(views.items())[:UPRIGHT_CLOUDS])
+            keep_view(views, drawn, seen, UPRIGHT_CLOUDS)
     return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts)
+
+
+def keep_view(
+    views: dict[Drawn, tuple[View, Kept]], drawn: Drawn, seen: tuple[View, Kept], most: int
+) -> None:
+    """Keep the earliest view of a square, if it is among so many with the lowest numbers."""
+    # The least, not the first: threads and logs hand them over in any order.
+    views[drawn] = min(views.get(drawn, seen), seen, key=itemgetter(0))
+    if len(views) > most:
+        del views[max(views)]
 
 
 def list_apart(views: Mapping[Drawn, tuple[View, Float64]]) -> list[Float64]:

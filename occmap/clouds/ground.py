@@ -85,10 +85,11 @@ def derive_ground(
     """
     columns = read_columns(counted.table, counted.path, known)
     blocks = columns.blocks
-    seen = np.concatenate([np.zeros((0, 3)), *(points for _, points in counted.views.values())])
-    apart = np.abs(seen[:, 2] - counted.path[:1, 2] / 1000)
-    if not columns.filled and (apart > heights.FAR_M).sum() > len(apart) / 2:
-        raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
+    if not columns.filled:
+        seen = [points[:, 2] for _, points in counted.views.values()]
+        apart = np.abs(np.concatenate([np.zeros(0), *seen]) - counted.path[:1, 2] / 1000)
+        if (apart > heights.FAR_M).sum() > len(apart) / 2:
+            raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
     seats = list_seats(columns, counted.paths, options.sensor_height)
     stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
     if options.ground == FLAT:

@@ -29,11 +29,12 @@ from occmap.options import BuildOptions
 from occmap.posing import Drift, measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.report import Note, join_names
+from occmap.scans import encode_cells
 from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int32, Int64
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int64
 
 LEAST_LEAN_DEG = 1.0
 """Walls of a map that leans by less are sharp enough."""
@@ -239,26 +240,18 @@ class Walls(NamedTuple):
 def measure_walls(views: Sequence[Float64], turned: Float64) -> Walls:
     """Measure walls by points (N, 3) of each view, in a map (3, 3) that is turned in theirs."""
     # Without their heights a product is so small that BLAS waits for no other thread.
-    places = [points @ turned[:, :2] / UPRIGHT_CELL_M for points in views]
+    places = [points @ turned[:, :2] for points in views]
     spread, shared = 0.0, 0.0
     # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
-    for aside in (0.0, 0.5):
-        seen = [np.unique(number_cells(each + aside), return_counts=True) for each in places]
+    for aside in (0.0, UPRIGHT_CELL_M / 2):
+        numbers = (encode_cells(each + aside, UPRIGHT_CELL_M) for each in places)
+        seen = [np.unique(each, return_counts=True) for each in numbers]
         cells, many = (np.concatenate(each) for each in zip(*seen, strict=True))
         together = np.bincount(np.unique(cells, return_inverse=True)[1], many)
         share = together / together.sum()
         spread -= float((share * np.log(share)).sum()) / 2
         shared += float((together**2).sum() - (many**2).sum())
     return Walls(spread, shared)
-
-
-def number_cells(places: Float64) -> Int32:
-    """Number the cells that places (N, 2) lie in, alike where these are 2^16 cells apart.
-
-    Numbers of 32 bits are sorted in a third of the time.
-    """
-    cells = np.rint(np.clip(places, -(2**30), 2**30)).astype(np.int32)
-    return cells.astype(np.int16).view(np.int32).ravel()
 
 
 def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
