@@ -5,7 +5,7 @@ Options are read back from the JSON that `write_value` made of them.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 
 from occmap import evidence
-from occmap.cells import Box, CellBox, Evidence, Manifest, OccupancyMap, Slices
+from occmap.cells import Box, CellBox, Evidence, Ground, Manifest, OccupancyMap, Slices
 from occmap.choices import option, take
 from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError, require
 from occmap.evidence import manifest as records
@@ -22,13 +22,15 @@ from occmap.grid import Lattice, tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid, find_unit, unite
 from occmap.options import OPTIONS, BuildOptions
 from occmap.report import HIDDEN, Count, Printed, Share, count, join_names, printed_as
-from occmap.scans import plan_grid
-from occmap.scans.tracing import Progress, Reading, ignore_progress
+from occmap.scans import Keep, make_engine, plan_grid
+from occmap.scans.logs import count_scans
+from occmap.scans.stream import Drive
+from occmap.scans.tracing import Progress, Reading, ignore_progress, read_views
 from occmap.sensor import interpret
 from occmap.sensor.models import MODEL, SensorModel, describe_model
 from occmap.store import Blocks, read_part
 from occmap.store.painting import open_map
-from occmap.types import Pose, PosedScans, PoseSample, Update
+from occmap.types import Int64, Pose, PosedScans, PoseSample
 from occmap.writers import WriteOptions
 
 
@@ -182,6 +184,8 @@ def recall(name: str, plain: Any) -> Any:
         plain = Pose(*plain)
     elif name == "static_transforms":
         plain = [PoseSample(*[*it[:3], Pose(*it[3]), *it[4:]]) for it in plain]
+    elif name == "height_drift":  # only how much it was is kept: it is found again
+        plain = None if plain else "off"
     return option.read(plain)
 
 
@@ -328,38 +332,72 @@ class Sighting:
         """Note what one of some scans did to a cell."""
         low_x, low_y, high_x, high_y = cell.extent
         middle = (low_x + high_x) / 2, (low_y + high_y) / 2
-        places = posed.position[scan].reshape(-1, 3)  # one, or one a beam
+        place = posed.position if posed.origin is None else posed.origin
+        places = place[scan].reshape(-1, 3)  # one, or one a beam
         x, y, _ = places[len(places) // 2].tolist()
         stamp_ns, away = int(posed.batch.stamp_ns[scan]), math.dist((x, y), middle)
         return cls(stamp_ns, str(use.log), use.build, posed.batch.topic, seen, x, y, away)
 
 
 def find_sightings(
-    uses: Sequence[Use], cell: Cell, progress: Progress
+    uses: Sequence[Use], cell: Cell, ground: Ground | None, progress: Progress
 ) -> tuple[list[Sighting], int]:
     """Trace all scans of the logs once more, as builds do, and see what each does to a cell.
+
+    Parameters
+    ----------
+    ground
+        That their clouds were traced over.
 
     Returns
     -------
     sightings, used
         By time; and how many scans of these logs the builds used.
     """
-    from occmap.grid.engine import look_at_cell  # noqa: PLC0415  late: it brings numba
-
     sightings: list[Sighting] = []
     used = 0
     for use in uses:
-        spec = plan_grid(use.options)
-        reading = Reading([use.log], use.options, progress)
+        reading = Reading([use.log], use.options, progress, takes_clouds=True)
         (drive,) = reading.list_drives()
-        for posed in drive.read(reading.tally):
-            rays, _ = interpret(posed, use.options.returns)
-            numbers = look_at_cell(rays, spec, cell.lattice_row, cell.lattice_column)
+        drive, look = prepare_look(drive, cell, ground)
+        spec = plan_grid(drive.options)
+        for posed in read_views(drive, reading.tally):
+            numbers = look(posed)
             for scan in np.flatnonzero(numbers.any(axis=1)).tolist():
                 seen = Observation.read(numbers[scan].tolist(), spec.kind, spec.unit)
                 sightings.append(Sighting.note(use, posed, scan, seen, cell))
             used += len(numbers)
     return sorted(sightings, key=lambda each: each.stamp_ns), used
+
+
+def prepare_look(
+    drive: Drive, cell: Cell, ground: Ground | None
+) -> tuple[Drive, Callable[[PosedScans], Int64]]:
+    """Prepare to say which two numbers (S, 2) each scan of a drive, or each cloud, adds to a cell.
+
+    The drive that is to be read corrects heights as its build did.
+    """
+    from occmap.grid.engine import look_at_cell  # noqa: PLC0415  late: it brings numba
+    from occmap.scans.levelling import count_ground  # noqa: PLC0415  likewise
+
+    options, row, col = drive.options, cell.lattice_row, cell.lattice_column
+    if ground is None:
+        spec = plan_grid(options)
+        return drive, lambda posed: look_at_cell(
+            interpret(posed, options.returns)[0], spec, row, col
+        )
+    drifts = count_ground(drive, count_scans(drive.log, drive.topics), None).drifts
+    options = replace(options, posing=replace(options.posing, height_drift=drifts))
+    engine = make_engine(options, Keep(ground=ground))
+
+    def look(posed: PosedScans) -> Int64:
+        sums = [engine.finish().gather(cell.box, np.int64)[:, 0, 0]]
+        for at in range(len(posed.stamp_ns)):
+            engine.add(posed.take(np.array([at])))
+            sums.append(engine.finish().gather(cell.box, np.int64)[:, 0, 0])
+        return np.diff(sums, axis=0)
+
+    return drive.renew(options), look
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -433,9 +471,6 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
         that the evidence was made of, or a trajectory is missing.
     """
     model = evidence.choose_model_for(saved, question.model, question.min_passes)
-    if question.logs and saved.manifest.update == Update.CLOUD:
-        found = "evidence of clouds does not say which of them observed a cell"
-        raise UsageError(found, where=saved.where, fix="leave out `logs`")
     cell = Cell.find(Lattice(saved.manifest.resolution), question.x, question.y)
     # All that is in memory, or the tile that holds the point and those beside it.
     part = read_part(saved, cell.box)
@@ -445,7 +480,7 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
     lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
     made = evidence.paint_box(lasting, model, cell.box)
     uses = find_uses(part, question.logs, question.poses)
-    sightings, scans_used = find_sightings(uses, cell, progress)
+    sightings, scans_used = find_sightings(uses, cell, part.ground, progress)
     seen = around[1][1]
     sums = (sum(each.seen.numbers[part] for each in sightings) for part in (0, 1))
     explained = Observation.read(sums, grid.kind, grid.unit)

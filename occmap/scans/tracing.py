@@ -116,6 +116,19 @@ class Standstill:
         return counts
 
 
+def read_views(drive: Drive, tally: Tally) -> Iterator[PosedScans]:
+    """Read the usable scans of a drive, batch by batch, and of its clouds those that count."""
+    views: defaultdict[tuple[str, str], Standstill] = defaultdict(Standstill)
+    for posed in drive.read(tally):
+        if not posed.batch.clouds:
+            yield posed
+            continue
+        stood_s = drive.poser.measure_standstills(posed)
+        counts = views[posed.batch.topic, posed.batch.frame].choose(posed.stamp_ns, stood_s)
+        tally.dropped += Counter({LeftOut.STOOD: int((~counts).sum())})
+        yield posed.take(counts)
+
+
 def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:
     """Read what the usable scans of a drive saw, batch by batch: as rays, or as posed clouds.
 
@@ -128,14 +141,10 @@ def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:
     """
     options = drive.options
     reach = Reach(Lattice(options.resolution), options.max_cells)
-    views: defaultdict[tuple[str, str], Standstill] = defaultdict(Standstill)
-    for posed in drive.read(tally):
+    for posed in read_views(drive, tally):
         if posed.batch.clouds:
-            stood_s = drive.poser.measure_standstills(posed)
-            counts = views[posed.batch.topic, posed.batch.frame].choose(posed.stamp_ns, stood_s)
-            tally.use(int(counts.sum()), ReturnCounts())
-            tally.dropped += Counter({LeftOut.STOOD: int((~counts).sum())})
-            yield posed.take(counts)
+            tally.use(len(posed.stamp_ns), ReturnCounts())
+            yield posed
             continue
         with tally.time("interpret"):
             rays, beams = interpret(posed, options.returns)

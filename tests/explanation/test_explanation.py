@@ -29,6 +29,7 @@ from occmap.store.painting import RenderOptions, render_saved
 from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
+from tests.clouds.simulation import HALL, turn, write_leaning, write_tour
 from tests.csv_logs import write_poses, write_scans
 from tests.every_option import EVERY
 from tests.evidence.saving import DRIVE, choose, each_combination, save
@@ -73,6 +74,25 @@ def test_scans_of_the_drive_add_up(update: Update, model: str) -> None:
         assert found.seen.observations
         assert found.explained == found.seen
         assert found.scans_used == 414
+        assert found.notes == ()
+
+
+def test_clouds_of_a_map_that_is_laid_flat_add_up() -> None:
+    poses = write_leaning(Path("leaning.tum"), turn(4, -6, 0))
+    explain_clouds(HALL, BuildOptions(posing=PosingOptions(poses=str(poses))))
+
+
+def test_clouds_whose_heights_drift_add_up() -> None:
+    explain_clouds(Path("tour"), write_tour(Path("tour"), drift_m=0.4))
+
+
+def explain_clouds(log: Path, options: BuildOptions) -> None:
+    """Explain some cells of a build of clouds by the log: all of each is to add up."""
+    evidence = save(Path("m.npz"), options, log)
+    for point in choose_points(evidence, 2):
+        found = ask(evidence, point, log, poses=options.posing.files)
+        assert found.seen.observations
+        assert found.explained == found.seen
         assert found.notes == ()
 
 
