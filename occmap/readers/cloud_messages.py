@@ -144,7 +144,7 @@ def make_cloud(
             offset_ns, found = find_offsets(columns[name], points, header[0])
             times = f"{name}, {found}" if found else ""
             return Cloud(*header, points, offset_ns, None, topic, record_ns, times)
-    return Cloud(*header, leave_out_flying(points), None, None, topic, record_ns)
+    return Cloud(*header, points, None, None, topic, record_ns, may_fly=True)
 
 
 def stack_points(axes: Sequence[NDArray[Any]]) -> Float32:
@@ -393,32 +393,35 @@ def is_between(depth: Float32, i: int, way: int, least: float) -> bool:
     return not 1 / near - 1 / far <= STEEPER * slant  # nor where nothing shows the slant
 
 
-def leave_out_flying(points: Float32) -> Float32:
-    """Leave out those of some points (N, 3) that hang in the air, if a depth camera saw them all.
+def leave_out_flying(cloud: Cloud) -> Cloud:
+    """Leave out points that hang in the air, if they may and a depth camera saw them all at once.
 
     It looks along z, and its pixels are even steps of x / z and of y / z.
     """
-    if len(points) < FEWEST or (points[:: len(points) // 64, 2] < 0).any():  # nearly all others
-        return points
+    points = cloud.points
+    if not cloud.may_fly or len(points) < FEWEST:
+        return cloud
+    if (points[:: len(points) // 64, 2] < 0).any():  # as nearly all others have
+        return cloud
     stride = STRIDE + (len(points) % STRIDE == 0)
     some = points[np.arange(min(SAMPLE, len(points))) * stride % len(points)]
     some = some[some[:, 2] != 0]
     if not (some[:, 2] >= 0).any() or (some[:, 2] < 0).any():
-        return points
+        return cloud
     with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
         across, down = find_step(some[:, 0] / some[:, 2]), find_step(some[:, 1] / some[:, 2])
     if not (across and down):
-        return points
+        return cloud
     points, pixels = np.array(points), np.empty((3, len(points)), np.int32)
     many = place_pixels(points.reshape(-1), across, down, pixels)
     which, col, row = pixels[:, :many]
     if many == 0 or np.ptp(col) * np.ptp(row) > MOST_EMPTY * many:  # a flipped bit, too
-        return points
+        return cloud
     col, row = col - col.min(), row - row.min()
     depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
     depth[row, col] = points[which, 2]
     points[which[find_flying(depth, 1 / max(across[1], down[1]))[row, col]]] = np.nan
-    return points
+    return cloud._replace(points=points)
 
 
 def find_step(slopes: Float32) -> tuple[float, float] | None:

@@ -244,10 +244,9 @@ def measure_walls(views: Sequence[Float64], turned: Float64) -> Walls:
     spread, shared = 0.0, 0.0
     # Walls along an axis may fill one cell or two: the second lattice is half a cell aside.
     for aside in (0.0, UPRIGHT_CELL_M / 2):
-        numbers = (encode_cells(each + aside, UPRIGHT_CELL_M) for each in places)
-        seen = [np.unique(each, return_counts=True) for each in numbers]
-        cells, many = (np.concatenate(each) for each in zip(*seen, strict=True))
-        together = np.bincount(np.unique(cells, return_inverse=True)[1], many)
+        numbers = [encode_cells(each + aside, UPRIGHT_CELL_M) for each in places]
+        many = np.concatenate([np.unique(each, return_counts=True)[1] for each in numbers])
+        together = np.unique(np.concatenate(numbers), return_counts=True)[1]
         share = together / together.sum()
         spread -= float((share * np.log(share)).sum()) / 2
         shared += float((together**2).sum() - (many**2).sum())

@@ -11,9 +11,13 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
+from occmap.options import BuildOptions
+from occmap.posing import PosingOptions
 from occmap.readers import Role, open_log, read_recorded
-from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets
+from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets, leave_out_flying
 from occmap.scans.logs import choose_topics
+from occmap.scans.mounts import open_drive
+from occmap.scans.tally import Tally
 from occmap.types import Cloud, Pose
 from tests.readers.clouds import cloud, image, info, listed, livox, packed
 from tests.readers.foxglove_logs import Message, place, stamp, write_json
@@ -37,7 +41,8 @@ def record(
 
 
 def decode(message: Any) -> list[list[float]]:
-    points: list[list[float]] = convert_cloud(message, "/cloud", 7).points.tolist()
+    seen = leave_out_flying(convert_cloud(message, "/cloud", 7))
+    points: list[list[float]] = seen.points.tolist()
     return points
 
 
@@ -272,7 +277,7 @@ def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
     assert not find_flying(row, 2.0).any()  # pixels as wide as that may be three things
 
 
-def test_points_of_a_camera_in_any_order_are_its_pixels() -> None:
+def test_points_of_a_camera_in_any_order_are_its_pixels(tmp_path: Path) -> None:
     depth = np.where(np.arange(40) < 20, 1.0, 4.0) * np.ones((30, 1))
     depth[5:25, 20], depth[::3, ::7] = 2.0, np.nan
     row, col = np.indices(depth.shape)
@@ -288,6 +293,15 @@ def test_points_of_a_camera_in_any_order_are_its_pixels() -> None:
         assert len(known) == np.isfinite(depth).sum() - (depth == 2.0).sum()
     for others in points[:, [2, 0, 1]], points * (1, 1, -1), points[:200]:
         np.testing.assert_array_equal(decode(cloud(ROS2, others.tolist())), others.astype("f4"))
+
+    (tmp_path / "clouds").mkdir()
+    np.save(tmp_path / "clouds" / "1600000000.5.npy", points)
+    way = tmp_path / "way.tum"
+    way.write_text("".join(f"160000000{time} 0 0 0 0 0 0 1\n" for time in ("0.4", "0.6")))
+    options = BuildOptions(posing=PosingOptions(poses=str(way)))
+    (posed,) = open_drive(open_log(tmp_path / "clouds"), options).read(Tally())
+    (seen,) = posed.batch.clouds or ()
+    assert {*np.unique(seen.points[np.isfinite(seen.points[:, 2]), 2])} == {1.0, 4.0}
 
 
 def test_a_camera_of_the_same_frame_on_any_topic_will_do(tmp_path: Path) -> None:
