@@ -217,12 +217,11 @@ def find_torn(times: Int64, position: Float64) -> Int64:
 
     A path is sent again and again, each time as it is known then.
     """
-    stamp_ns: Int64 = times[:, 0]
-    record_ns = times[:, 1]
-    if 2 * len(np.unique(record_ns)) < len(record_ns):
-        return stamp_ns[:0]
-    apart = np.linalg.norm(np.diff(position, axis=0), axis=1) > TORN_M
-    torn_ns: Int64 = np.unique(stamp_ns[1:][apart & (np.diff(stamp_ns) == 0)])
+    same = np.flatnonzero(np.diff(times[:, 0]) == 0)
+    if not same.size or 2 * len(np.unique(times[:, 1])) < len(times):
+        same = same[:0]
+    apart = np.linalg.norm(position[same + 1] - position[same], axis=1) > TORN_M
+    torn_ns: Int64 = np.unique(times[same[apart], 0])
     return torn_ns
 
 
