@@ -281,7 +281,9 @@ class Option:
             return None
         if not self.is_many:
             return self.read_one(value)
-        if not isinstance(value, str | bytes | os.PathLike):
+        # A tuple of numbers is one of several values, as notes print it, and no list of them.
+        is_one = isinstance(value, tuple) and sum(isinstance(each, Real) for each in value) > 1
+        if not isinstance(value, str | bytes | os.PathLike) and not is_one:
             with suppress(TypeError):  # it is not several values
                 return tuple(map(self.read_one, value))
         return (self.read_one(value),)

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -220,7 +220,7 @@ def spell_flags(text: str) -> str:
 
 
 def compose_build(
-    logs: Sequence[str], options: BuildOptions, changes: Mapping[str, str], update: str = ""
+    logs: Sequence[str], options: BuildOptions, changes: Iterable[tuple[str, str]], update: str = ""
 ) -> tuple[str, ...]:
     """Compose the words of an `occmap build`.
 
@@ -236,11 +236,10 @@ def compose_build(
         for name, value in options.list_changed().items()
         if name not in {*OF_ONE_MAP, "jobs"}
     }
-    for name, text in changes.items():
+    for name, text in changes:
         kept = []
-        if name == "static_transforms":  # the transforms to other frames stay beside a new one
-            child = text.split(",")[1]
-            kept = [each for each in given.get(name, []) if each.split(",")[1] != child]
+        if frame := find_child(name, text):  # the transforms to other frames stay beside a new one
+            kept = [each for each in given.get(name, []) if find_child(name, each) != frame]
         given[name] = [*kept, text] if text else []
     words = [w for name, texts in given.items() for text in texts for w in (FLAGS[name], text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
@@ -252,7 +251,12 @@ def compose_build(
     return (*start, *files, *words, "-o", image)
 
 
+def find_child(name: str, text: str) -> str:
+    """Find the frame that an option with a value says where it is; "" of other options."""
+    return text.split(",")[1] if name == "static_transforms" else ""
+
+
 def name_map(path: str) -> str:
     """Name a map after its log: the base name without what it is packed and written in."""
-    stem = Path(Path(path).resolve().name.removesuffix(".gz")).stem
+    stem = Path(re.sub(r"(?i)\.gz$", "", Path(path).resolve().name)).stem
     return "stdin" if stem == "-" else stem or "map"

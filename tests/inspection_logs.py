@@ -1,6 +1,7 @@
 """Logs of a robot in a rectangular room, written by formula for the tests of `occmap check`."""
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -146,5 +147,8 @@ def _transform(
 def read_line(command: Sequence[str]) -> BuildOptions:
     """The options of a line that check recommends."""
     names, words = {flag: name for name, flag in FLAGS.items()}, command[3:-2]
-    given = {names[flag]: value for flag, value in zip(words[::2], words[1::2], strict=True)}
-    return read_options(BuildOptions, given, "build_map")
+    given = defaultdict[str, list[str]](list)
+    for flag, value in zip(words[::2], words[1::2], strict=True):
+        given[names[flag]].append(value)
+    typed = {name: each if len(each) > 1 else each[0] for name, each in given.items()}
+    return read_options(BuildOptions, typed, "build_map")

@@ -84,6 +84,15 @@ def test_values_of_the_classes_are_taken_as_they_are() -> None:
     assert (made.posing.sensor_pose, made.posing.static_transforms) == (mount, (transform,))
 
 
+@pytest.mark.parametrize(
+    ("name", "one"),
+    [("ignore_sectors", (2.5, -2.5)), ("static_transforms", ("a", "b", 0.1, 0, 0.2, 0, 0, 0))],
+)
+def test_a_tuple_of_numbers_is_one_of_several_values(name: str, one: tuple[Any, ...]) -> None:
+    alone, listed = (read_options(BuildOptions, {name: it}, "build_map") for it in (one, [one]))
+    assert alone == listed != BuildOptions()
+
+
 def test_none_is_the_default_but_where_it_is_a_value() -> None:
     nothing = dict.fromkeys(list_options(BuildOptions).keys() - {"align", "max_pose_gap_s"})
     assert read_options(BuildOptions, nothing, "build_map") == BuildOptions()
@@ -107,7 +116,7 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"footprint": (0, 1)}, "give x_min,y_min,x_max,y_max in metres"),
         ({"transform": (0, 0, 0, 3, 0)}, "`transform=(0, 0, 0, 3, 0)`: 5 values where 3 or 4 "),
         ({"sensor_pose": (math.nan, 0, 0)}, "`sensor_pose=(nan, 0, 0)`: nan is not a number"),
-        ({"ignore_sectors": (2.5, -2.5)}, "give a list, each item from,to in radians"),
+        ({"ignore_sectors": [2.5, -2.5]}, "give a list, each item from,to in radians"),
     ],
 )
 def test_what_is_no_option_is_refused_in_words(options: dict[str, Any], message: str) -> None:

@@ -411,7 +411,7 @@ def test_logs_that_cannot_be_read_are_problems_and_left_out_of_the_line(tmp_path
 )  # fmt: skip
 def test_options_come_back_as_flags_and_lose_no_digit(options: dict[str, Any], words: str) -> None:
     typed = read_options(BuildOptions, options, "build_map")
-    assert " ".join(compose_build(["a.bag"], typed, {})[3:-2]) == words
+    assert " ".join(compose_build(["a.bag"], typed, ())[3:-2]) == words
 
 
 @pytest.mark.parametrize(
@@ -455,6 +455,12 @@ def test_a_build_of_a_short_log_names_the_mount_of_a_mirrored_laser(
     assert told == ([f"{path}: scan: {better}"] if mirrored else [])
 
 
+def test_ranges_below_the_limit_that_scans_state_are_told(here: Path) -> None:
+    found = look(write_csv(here / "few.csv", Drive(spoil=lambda measured: measured / 1000)))
+    assert "all ranges lie below the range_min that the scans state" in found.warnings[0]
+    assert found.command == ()
+
+
 def test_a_few_hits_are_no_reason_to_name_a_mount(tmp_path: Path) -> None:
     places = [(0.1 * step, 0.0, 0.1 * step) for step in range(10)]
     path = tmp_path / "few.csv"
@@ -475,6 +481,15 @@ def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_pa
     (note,) = report.notes
     mount = "`static_transforms=(base_link,rear,0,0,0,3.14159,0,0)`"
     assert note == f"{path}: /rear: the scans would fit each other better with {mount}"
+
+
+def test_two_lasers_that_are_turned_get_a_line_that_mends_both(here: Path) -> None:
+    path = write_bag(here / "room.bag", Drive(math.pi), **MOUNTED, topics=TOPICS, frames=FRAMES)
+    found = look(path)
+    turned = [f"--static-tf base_link,{frame},0,0,0,0,0,3.14159" for frame in FRAMES]
+    assert " ".join(found.command[3:-2]) == " ".join(turned)
+    again = look(path, read_line(found.command))
+    assert (again.command, again.warnings) == (found.command, ())
 
 
 def test_a_frame_that_is_found_once_another_is_known_has_no_fault() -> None:
@@ -539,12 +554,12 @@ def test_of_two_lasers_the_one_that_is_off_gets_a_transform_of_its_own(tmp_path:
     better = mount.write(turn_mount(mount.pose, Pose.planar(0, 0, -1.5)))
     assert better == {"static_transforms": "base_link,laser,0,0,0,0,0,0"}
     options = BuildOptions(posing=PosingOptions(static_transforms=(given,)))
-    words = compose_build([str(right)], options, better)
+    words = compose_build([str(right)], options, better.items())
     assert words[3:-2] == ("--static-tf", "base_link,laser,0,0,0,0,0,0")
 
 
 def test_a_log_that_begins_with_a_dash_is_no_option_in_the_line() -> None:
-    line = compose_build(["-x.bag", "y.bag"], BuildOptions(), {})
+    line = compose_build(["-x.bag", "y.bag"], BuildOptions(), ())
     assert line == ("occmap", "build", "./-x.bag", "y.bag", "-o", "./-x.pgm")
 
 
@@ -617,6 +632,9 @@ BETTER = "the scans would fit each other better with "
          "`poses=/vicon/robot`"),
         (Drive(drift=0.05), {"truth": "/tf"}, {}, "--map-frame world", "`map_frame=world`"),
         (Drive(), {"scan_stamp": swap_stamps}, {}, "--stamps record", "`stamps=record`"),
+        # By then it has turned by a quarter, as if the laser were.
+        (Drive(), {"scan_stamp": lambda stamp: stamp + 14 * 10**9}, {}, "--stamps record",
+         "`stamps=record`"),
         (Drive(), {"scan_stamp": lambda _: 0}, {}, "--stamps record",
          "40 before the first pose; try `stamps=record`"),
         (Drive(increment=0.01), {}, {}, "--deskew on", "`deskew=on`"),

@@ -21,8 +21,8 @@ from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
-from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
-from occmap.options import FLAGS, BuildOptions, compose_build
+from occmap.inspection.survey import BELOW, BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
+from occmap.options import FLAGS, BuildOptions, compose_build, find_child
 from occmap.posing import Concern, Doubt, DropReason
 from occmap.readers import Role, open_log
 from occmap.report import count, write_counts, write_unused
@@ -132,22 +132,25 @@ def recommend(
         return (), ()
     name, advised = advice[0]
     if all(map(is_open, mapped)):  # else a map is as right without it
-        advised["no_return"] = "clear"
-    command = compose_build([log.path for log in mapped], options, advised)
+        advised["no_return", ""] = "clear"
+    changes = ((option, value) for (option, _), value in advised.items())
+    command = compose_build([log.path for log in mapped], options, changes)
     if name == "tune":
         command = ("occmap", name, *command[2:-2])
     left = ", ".join(log.path for log in logs if log not in mapped)
     return command, (f"the line leaves out what cannot be mapped: {left}",) if left else ()
 
 
-def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
+def advise(log: LogFindings) -> tuple[str, dict[tuple[str, str], str]] | None:
     """Name the command that makes the best of a log, and the options that it needs.
 
-    Where the poses do not fit the scans, it is `occmap tune`, which looks for the reason. None:
-    nothing helps, or the findings ask for two values of an option.
+    Of transforms there may be one to each frame. Where the poses do not fit the scans, it is
+    `occmap tune`, which looks for the reason. None: nothing helps, or the findings ask for two
+    values of an option.
     """
-    found = list(dict.fromkeys(list_advised(log)))
-    advised, commands = dict(found), {concern.command for concern in log.concerns}
+    found = set(list_advised(log))
+    advised = {(name, find_child(name, value)): value for name, value in list_advised(log)}
+    commands = {concern.command for concern in log.concerns}
     is_lost = "" in commands or any(DEGREES in note for note in log.notes)
     if is_lost or len(advised) < len(found):
         return None
@@ -271,8 +274,10 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
         yield poses.warn_of_body(ranges.body)
     if ranges.measured:
         return
-    if any(special.name == BEYOND for special in ranges.specials):
-        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
+    names = {special.name for special in ranges.specials}
+    if not names.isdisjoint({BEYOND, BELOW}):
+        side = "beyond the limit" if BEYOND in names else "below the range_min"
+        found = f"all ranges lie {side} that the scans state: is one of the two in mm?"
         yield Concern(found, command="")
     else:
         yield Concern("no range value is a measurement")

@@ -44,7 +44,7 @@ DRIFT_S = 0.1
 """Where stamps drift by more against the record times, the other of the two is tried, too (s)."""
 BETTER = 0.05
 """So many more of the hits agree by an option that suits the scans clearly better."""
-OTHER_POSES = {"poses", "map_frame"}
+OTHER_POSES = {"poses", "map_frame", "stamps"}
 """Options that replace the poses, and with them what is wrong with those"""
 MOST_TRIED = 6
 """So many options are tried for a topic: each takes a map of the sample"""

@@ -206,7 +206,7 @@ def hint_at_tune(agreement: float | None, logs: Sequence[str], options: BuildOpt
     is_poor = agreement is not None and LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT
     if not is_poor or not is_usual or options.model != choose_model(options.update):
         return ""
-    words = compose_build(logs[:MOST_NAMED], options, {})[2:-2]
+    words = compose_build(logs[:MOST_NAMED], options, ())[2:-2]
     named = shlex.join(words) + " ..." * (len(logs) > MOST_NAMED)
     return f"; walls may be doubled: `occmap tune {named}` looks for a wrong clock or mount"
 

@@ -308,7 +308,7 @@ def compose_variant(
         options = replace(options, border_gap=BuildOptions.border_gap)
     if variant.update is Update.BEAM:  # which knows no surfaces
         options = replace(options, jump=BuildOptions.jump)
-    return compose_build(logs, options, {"model": variant.model}, variant.update.value)
+    return compose_build(logs, options, [("model", variant.model)], variant.update.value)
 
 
 def refuse_unscored(logs: Sequence[str], held_out: int, are_told: bool) -> None:

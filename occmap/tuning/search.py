@@ -351,7 +351,7 @@ def compose(scorer: Scorer, best: Correction) -> tuple[str, ...]:
         changes = seat.write(mounts.turn_mount(seat.pose, step))
         posing = replace(posing, sensor_pose=None)
     paths = [log.path for log in scorer.logs]
-    return compose_build(paths, replace(options, posing=posing), changes)
+    return compose_build(paths, replace(options, posing=posing), changes.items())
 
 
 class Verdict(StrEnum):
