@@ -167,7 +167,7 @@ def finish_store(
     manifest
         With all builds.
     records
-        What `write_block` said of each block.
+        What `write_block` said of each block; those in which nothing is left are passed over.
     ground
         What clouds were traced over.
 
@@ -176,7 +176,7 @@ def finish_store(
     OutputError
         It cannot be written.
     """
-    known = sorted(records)
+    known = sorted(record for record in records if record.cells)
     table, below = layout.make_table(known, manifest), pack_ground(ground)
     with edit_store(path) as root:
         head = layout.make_head(manifest, root.attrs["occmap"]["offset"])
