@@ -126,7 +126,7 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
         content = file.read(YAML_BYTES)
     meta = parse_meta(stating, parse_yaml(stating, content))
     image = path if is_image else path.parent / meta.image
-    lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)$", content, re.M)
+    lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)\r?$", content, re.M)
     said = {name.decode(): text.decode() for name, text in lines}
     pixels = read_image(image)
     classes, notes = classify(pixels, meta), list[str]()

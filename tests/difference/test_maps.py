@@ -59,6 +59,15 @@ def test_a_png_of_another_tool_is_dark_where_occupied(tmp_path: Path) -> None:
     assert write_art(load_map(tmp_path / "m.png", OPTIONS).classes) == "#?."
 
 
+def test_colours_are_as_dark_as_map_server_takes_them(tmp_path: Path) -> None:
+    """The mean of red, green and blue: of green and blue 85, of yellow and cyan 170."""
+    colours = [(0, 255, 0), (0, 0, 255), (255, 255, 0), (0, 255, 255), (255, 255, 255)]
+    image = Image.fromarray(np.array([colours], np.uint8))
+    for number, kind in enumerate((image, image.convert("P"), image.convert("RGBA"))):
+        kind.save(tmp_path / f"{number}.png")
+        assert write_art(load_map(tmp_path / f"{number}.png", OPTIONS).classes) == "##??."
+
+
 def write_foreign(folder: Path, yaml: str, pixels: list[list[int]]) -> Path:
     Image.fromarray(np.array(pixels, np.uint8)).save(folder / "m.pgm")
     (folder / "m.yaml").write_text(yaml)
