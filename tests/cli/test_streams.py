@@ -29,6 +29,8 @@ def test_a_log_on_stdin_and_a_map_on_stdout() -> None:
     assert b"414 of 414 used" in done.stderr
     assert b"stdout.pgm" not in done.stderr
     assert pipe("render map.npz -o -.png", b"").stdout == Path("m.png").read_bytes()
+    Path("edits.csv").write_text("forbidden,box,0,0,1,1\n")
+    assert pipe("render map.npz -o -.keepout.pgm --edits edits.csv", b"").stdout[:3] == b"P5\n"
 
 
 def test_explain_reads_stdin() -> None:
