@@ -82,6 +82,13 @@ def test_a_yaml_of_another_tool_is_read_by_the_rules_of_map_server(tmp_path: Pat
     assert loaded.place == Place(0.05, -1.0, 2.0)
 
 
+def test_thresholds_that_a_yaml_goes_before_are_noted(tmp_path: Path) -> None:
+    path = write_foreign(tmp_path, META + THRESHOLDS, [[120]])
+    loaded = load_map(path, WriteOptions(occupied_thresh=0.5))
+    (note,) = loaded.notes
+    assert (write_art(loaded.classes), note.endswith("and not `occupied_thresh`")) == ("?", True)
+
+
 def test_a_map_may_lie_where_a_float_still_tells_metres_apart(tmp_path: Path) -> None:
     text = META.replace("0.05", "1e15").replace("2.0", "-1e15") + THRESHOLDS
     assert load_map(write_foreign(tmp_path, text, [[0]]), OPTIONS).place == Place(1e15, -1.0, -1e15)
