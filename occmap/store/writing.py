@@ -45,7 +45,10 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
         It cannot be written.
     """
     zarr = layout.import_zarr()
-    box = CellBox.enclose(list(blocks) or [Block(0, 0)]).scale(BLOCK)
+    box, side = CellBox.enclose(list(blocks) or [Block(0, 0)]).scale(BLOCK), BLOCK
+    while max(box.shape) > side * LEVEL_CELLS:  # so that coarser pictures lie on a lattice, too
+        side *= 4
+        box = box.align(side)
     unit = find_unit(plan.update)
     with refuse_unwritable(path):
         root = zarr.create_group(path, attributes={"occmap": layout.make_head(plan, box[:2])})

@@ -278,6 +278,15 @@ def test_an_overview_is_the_map_made_small(
     assert abs(whole.classes.size - small.classes.size * 16) <= 64 * sum(whole.classes.shape)
 
 
+def test_the_coarsest_overview_lies_on_the_lattice_of_its_pixels(here: Path) -> None:
+    """Else a GeoTIFF of it, and what is drawn over it, would lie beside it."""
+    log = write_csv(here / "far.csv", [(-100.0, -100.0, 0.0), (60000.0, -100.0, 0.0)], [2.0])
+    ask(f"build {log} --max-speed inf -o far.zarr")
+    ask("render far.zarr --overview 4096 -o m.pgm")
+    place = load_map(here / "m.pgm", WriteOptions()).place
+    assert place == (4096 * 0.05, -4096 * 0.05, -4096 * 0.05)
+
+
 @pytest.mark.parametrize(
     ("spoil", "found"),
     [
