@@ -22,6 +22,7 @@ from occmap.cli.declaring import PATH, Answer, CliOption, Value
 from occmap.errors import OccmapError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
+from occmap.plugins import list_plugins
 from occmap.report import Row, is_damage, label_first
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.scans.logs import Inputs, find_inputs, keep_stdin
@@ -190,9 +191,11 @@ def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tup
     UsageError
         More is meant for stdout than one file, or a format that is a folder.
     """
+    formats = {f".{each.name}" for each in list_plugins("occmap.writers")}  # some are folders
+    folders = [path.suffix.lower() not in formats and os.path.isdir(path) for path in outputs]  # noqa: PTH112  a name may be too long
     placed = tuple(
-        path / f"{name_map(str(first))}.pgm" if os.path.isdir(path) and not path.suffix else path  # noqa: PTH112  a name may be too long
-        for path in outputs
+        path / f"{name_map(str(first))}.pgm" if is_folder else path
+        for path, is_folder in zip(outputs, folders, strict=True)
     )
     sent = [path for path in placed if path.name.partition(".")[0] == STDOUT]
     if not sent:

@@ -87,10 +87,11 @@ def test_an_empty_or_a_closed_stdin_is_said() -> None:
         assert (shut.returncode, shut.stderr) == (1, told)
 
 
-def test_a_folder_gets_a_map_named_after_the_log() -> None:
-    Path("maps").mkdir()
-    assert occmap("build", DRIVE, "-o", "maps/", "-r", "0.1").code == 0
-    assert {path.name for path in Path("maps").iterdir()} == {"drive.pgm", "drive.yaml"}
+@pytest.mark.parametrize("name", ["maps", "run.1"])
+def test_a_folder_gets_a_map_named_after_the_log(name: str) -> None:
+    Path(name).mkdir()
+    assert occmap("build", DRIVE, "-o", f"{name}/", "-r", "0.1").code == 0
+    assert {path.name for path in Path(name).iterdir()} == {"drive.pgm", "drive.yaml"}
 
 
 def test_the_recordings_of_a_folder_are_built_as_one() -> None:
