@@ -185,7 +185,7 @@ def check(*logs: AnyPaths, **options: Any) -> inspection.Inspection:
         No log is given, or an option is unknown or out of its range.
     """
     (paths, notes), common = read_request(logs, options, "check")
-    return replace(inspection.inspect(paths, common), notes=tuple(notes))
+    return inspection.inspect(paths, common, notes)
 
 
 @refuse_failures()

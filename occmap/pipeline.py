@@ -8,6 +8,7 @@ from typing import Any
 
 from occmap import writers
 from occmap.cells import Evidence
+from occmap.clouds import FLAT, LOCAL
 from occmap.errors import MapError
 from occmap.evidence import count_steady, list_contradictions
 from occmap.evidence import manifest as manifests
@@ -21,7 +22,6 @@ from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observe, Observed, Progress, ignore_progress
 from occmap.scans.tracing import observe as observe_here
-from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, open_saved, read_all
 from occmap.store.merging import add, refuse_different
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
@@ -57,7 +57,7 @@ def build(
         options, unaligned = settle_align(paths, options)
         options, keep = choose_keep(options, outputs, past)
         seen, tally, options = observe(paths, options, keep, progress)
-        evidence = add_past(seen, past, options.model)
+        evidence = add_past(seen, past, options)
         refuse_unused(tally)
         refuse_unseen(tally, evidence.tiles)
 
@@ -152,22 +152,25 @@ def choose_keep(
         builds = below.manifest.builds
         level = builds[0]["options"]["posing"].get("level") if builds else None
         options = replace(options, posing=replace(options.posing, level=level and tuple(level)))
+    if options.clouds.ground == FLAT:
+        ground = None  # a plane does not go on from it
     return options, Keep(slices, writers.want_journey(outputs), ground)
 
 
-def add_past(seen: Evidence, past: Evidence | None, model: SensorModel) -> Evidence:
+def add_past(seen: Evidence, past: Evidence | None, options: BuildOptions) -> Evidence:
     """Add what a build observed to the evidence that it goes on from; notes say what does not fit.
 
     Raises
     ------
     MapError
-        It is evidence of another kind: only the logs say if they hold clouds.
+        It is evidence of another kind: only the logs say if they hold clouds; or over other ground.
     """
     if past is None:
         return seen
-    # The ground of the build grew from that of the evidence.
+    # Unless the user names another one, the ground of the build grew from that of the evidence.
+    ground = None if options.clouds.ground in {None, LOCAL} else past.ground
     manifest = replace(past.manifest, model=seen.manifest.model)
-    return add(replace(past, manifest=manifest, ground=None), seen, model)
+    return add(replace(past, manifest=manifest, ground=ground), seen, options.model)
 
 
 def paint_seen(

@@ -173,6 +173,9 @@ def test_logs_in_frames_of_different_names_are_noted(tmp_path: Path) -> None:
         assert not [each for each in made.report.notes if "different frames" in each]
     with pytest.raises(UsageError, match=rf"{first} in odom, {second} in map; .* `map_frame`"):
         compare([first, second], combine([Update.BEAM], []), PLAIN)
+    build([first], PLAIN, [tmp_path / "m.npz"])
+    scored = occmap.score(tmp_path / "m.npz", logs=[first, second], within_m=0.1)
+    assert any(f"different frames: {told[0]}" in note for note in scored.notes)
 
 
 @pytest.mark.parametrize("update", BEAM_UPDATES)

@@ -20,9 +20,10 @@ from occmap.options import DEFAULT_UPDATE, OPTIONS, RUN, BuildOptions, choose_mo
 from occmap.pipeline import build
 from occmap.plugins import guess
 from occmap.readers import open_log
-from occmap.report import Note, is_damage, label_first
+from occmap.report import Note, label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report
+from occmap.scans.logs import Inputs
 from occmap.scans.mounts import open_drive
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
@@ -80,13 +81,15 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     """
     given, chosen = read_request(words, values)
     console.announce(*list_idle(values))
-    logs = options.gather_logs(console, given, chosen, values["outputs"])
+    logs, lost = options.gather_logs(console, given, chosen, values["outputs"])
     if values["skip_unreadable"]:
-        logs = keep_readable(console, logs, chosen)
+        logs, unread = keep_readable(logs, chosen)
+        console.announce(*unread)
+        lost += unread
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
     report = run_build(console, logs, chosen, values)
-    report = replace(report, notes=(*filter(is_damage, console.announced), *report.notes))
+    report = replace(report, notes=(*lost, *report.notes))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
@@ -115,17 +118,16 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
     return logs, take(BuildOptions, {**values, "update": update, "model": model})
 
 
-def keep_readable(console: Console, logs: list[Path], chosen: BuildOptions) -> list[Path]:
+def keep_readable(logs: list[Path], chosen: BuildOptions) -> Inputs:
     """Leave out logs without readable scans or without poses, with a note on each; never all."""
-    readable, lost = [], []
+    readable, lost = list[Path](), list[str]()
     for path in logs:
         try:
             open_drive(open_log(path, chosen.reading), chosen)
             readable.append(path)
         except (LogError, PoseError) as error:
             lost.append(Note(f"{path}: left out: {error.found}", damage=True))
-    console.announce(*lost if readable else ())
-    return readable or logs
+    return (readable, lost) if readable else (logs, [])
 
 
 def list_idle(values: options.Values) -> Iterator[str]:

@@ -144,7 +144,7 @@ def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     evidence = open_saved(path)
     model, writing = options.choose_saved_model(evidence, values), take(WriteOptions, values)
     others = values["poses"]  # lie beside the logs, and are none
-    values["logs"] = options.gather_logs(console, values["logs"], BuildOptions(), others)
+    values["logs"], _ = options.gather_logs(console, values["logs"], BuildOptions(), others)
     question = take(Question, {**values, "model": model, "writing": writing})
     explanation = explain(evidence, question, console.advance)
     scans = list_scans(explanation) if values["logs"] else ()
@@ -273,7 +273,7 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """
     common = take(BuildOptions, values)
     if values["logs"]:
-        values["logs"] = tuple(options.gather_logs(console, values["logs"], common))
+        values["logs"], _ = options.gather_logs(console, values["logs"], common)
     made = score(path, take(Against, values), common, console.advance)
     return Answer(made, write_rows(list_score(made)))
 

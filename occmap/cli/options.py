@@ -22,9 +22,10 @@ from occmap.cli.declaring import PATH, Answer, CliOption, Value
 from occmap.errors import OccmapError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
-from occmap.report import Row, label_first
+from occmap.plugins import list_plugins
+from occmap.report import Row, is_damage, label_first
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
-from occmap.scans.logs import find_inputs, keep_stdin
+from occmap.scans.logs import Inputs, find_inputs, keep_stdin
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
 from occmap.writers import WriteOptions, find_writer
 
@@ -160,8 +161,10 @@ SCRATCH = "occmap-stdout-"
 
 def gather_logs(
     console: Console, paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path] = ()
-) -> list[Path]:
+) -> Inputs:
     """Find the recordings that the user means, and say what a folder holds of them.
+
+    The notes that are given back are those of damage, which belong to what is found of the logs.
 
     Raises
     ------
@@ -172,7 +175,7 @@ def gather_logs(
     others = [*outputs, *options.posing.files]
     recordings, notes = find_inputs(given, options.reading, others)
     console.announce(*notes)
-    return recordings
+    return recordings, list(filter(is_damage, notes))
 
 
 def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tuple[Path, ...]:
@@ -188,17 +191,19 @@ def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tup
     UsageError
         More is meant for stdout than one file, or a format that is a folder.
     """
+    formats = {f".{each.name}" for each in list_plugins("occmap.writers")}  # some are folders
+    folders = [path.suffix.lower() not in formats and os.path.isdir(path) for path in outputs]  # noqa: PTH112  a name may be too long
     placed = tuple(
-        path / f"{name_map(str(first))}.pgm" if os.path.isdir(path) and not path.suffix else path  # noqa: PTH112  a name may be too long
-        for path in outputs
+        path / f"{name_map(str(first))}.pgm" if is_folder else path
+        for path, is_folder in zip(outputs, folders, strict=True)
     )
-    sent = [path for path in placed if path.stem == STDOUT]
+    sent = [path for path in placed if path.name.partition(".")[0] == STDOUT]
     if not sent:
         return placed
     if len(sent) > 1 or console.as_json:
         raise UsageError("stdout takes one map and nothing else", fix="give another name to -o")
-    suffix = sent[0].suffix or ".pgm"
-    if find_writer(sent[0].with_suffix(suffix)).is_folder:
+    suffix = "".join(sent[0].suffixes) or ".pgm"  # of two, as .ground.tif
+    if find_writer(Path(f"map{suffix}")).is_folder:
         found = f"a {suffix} is a folder, which stdout cannot take"
         raise UsageError(found, where=sent[0], fix=f"name the folder, such as -o map{suffix}")
     console.stdout_is_taken = True

@@ -110,7 +110,7 @@ def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
     return loader(path, thresholds)
 
 
-def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
+def load_grey(path: Path, thresholds: WriteOptions) -> ClassMap:
     """Load the image that a map_server YAML names, or a PGM by the YAML of its name.
 
     Raises
@@ -126,7 +126,7 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
         content = file.read(YAML_BYTES)
     meta = parse_meta(stating, parse_yaml(stating, content))
     image = path if is_image else path.parent / meta.image
-    lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)$", content, re.M)
+    lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)\r?$", content, re.M)
     said = {name.decode(): text.decode() for name, text in lines}
     pixels = read_image(image)
     classes, notes = classify(pixels, meta), list[str]()
@@ -135,6 +135,8 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
         found = f"its free_thresh of {meta.free_thresh:g} makes {count(taken, 'pixel')} of grey"
         fix = "write `free_thresh: 0.196` into it to have them unknown"
         notes = [f"{stating}: {found} {UNKNOWN} free, which map_saver writes for unknown; {fix}"]
+    if given := [f"`{it}`" for it in IN_PNG[:2] if getattr(thresholds, it) is not None]:
+        notes.append(f"{stating}: its own thresholds count for it, and not {' and '.join(given)}")
     return ClassMap(path, classes, meta.place, image, **said, notes=tuple(notes))
 
 

@@ -251,7 +251,8 @@ def list_contradictions(hits: tuple[int, int], points: Mapping[str, int]) -> Ite
     if steady < OF_CORRIDOR and is_odd:
         yield (
             f"the points hardly fit a floor: {ground:,} lie on it, {obstacle:,} on obstacles and "
-            f"{below:,} below it; `occmap check` says if a mount is wrong"
+            f"{below:,} below it; `occmap check` says if a mount is wrong, and in grass a larger "
+            "`min_height` may be right"
         )
 
 

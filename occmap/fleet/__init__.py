@@ -170,8 +170,9 @@ def open_scratch(
 ) -> Iterator[Path]:
     """Make, or find again, the folder where the tasks of this very build leave what they found.
 
-    It goes away when the build is done. Where the build fails or is killed, it stays, and the same
-    build goes on where it was. Meanwhile another process that begins the same build waits.
+    It goes away when the build is done, and with it `scratch`, unless that was there and empty.
+    Where the build fails or is killed, it stays, and the same build goes on where it was. Meanwhile
+    another process that begins the same build waits.
 
     Raises
     ------
@@ -181,7 +182,8 @@ def open_scratch(
     digest = digest_build(scratch, paths, options, keep)
     folder, mark = (scratch.absolute() / f"{kind}-{digest}" for kind in ("build", "lock"))
     with ExitStack() as outer, ExitStack() as stack:
-        outer.callback(remove_empty, scratch)  # another build may have something in it
+        if not scratch.is_dir() or any(scratch.iterdir()):  # else the user made it
+            outer.callback(remove_empty, scratch)  # another build may have something in it
         is_held = False
         while not is_held:  # whoever had the lock before took both away
             stack.close()

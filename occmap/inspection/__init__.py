@@ -25,7 +25,7 @@ from occmap.inspection.survey import BELOW, BEYOND, MOSTLY_OPEN, Survey, TopicSu
 from occmap.options import FLAGS, BuildOptions, compose_build, find_child
 from occmap.posing import Concern, Doubt, DropReason
 from occmap.readers import Role, open_log
-from occmap.report import count, write_counts, write_unused
+from occmap.report import count, is_damage, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
@@ -43,8 +43,10 @@ BYTES_PER_CELL = 4 + 1 + 8
 WRONG_TO_CLEAR = "beams without return lead through walls: `no_return=clear` is wrong here"
 
 
-def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
-    """Judge logs by what was found in them, and by the size of the map that they would make."""
+def judge_logs(
+    logs: Sequence[LogFindings], options: BuildOptions, notes: Sequence[str]
+) -> Inspection:
+    """Judge logs by what was found in and beside them, and by how large their map would be."""
     lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
     box = reduce(CellBox.join, boxes) if boxes else None
     found, unseen = None, ""
@@ -65,8 +67,10 @@ def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection
         command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
-    warnings = *damage, *concerns, *differing
-    return Inspection(tuple(logs), found, problems, warnings, command, not problems)
+    warnings = *damage, *filter(is_damage, notes), *concerns, *differing
+    return Inspection(
+        tuple(logs), found, problems, warnings, command, not problems, notes=tuple(notes)
+    )
 
 
 def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:
@@ -289,7 +293,7 @@ MAX_LISTED_SHAPES = 5
 """How many shapes of a topic are told: the most frequent ones, and how many more there are"""
 
 
-def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
+def inspect(paths: Sequence[Path], options: BuildOptions, notes: Sequence[str] = ()) -> Inspection:
     """Look into logs. What would make a build fail is among the findings, and is not raised.
 
     Parameters
@@ -298,8 +302,10 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
         Recordings of any installed format.
     options
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
+    notes
+        Of `find_inputs`; those of damage are warnings, too.
     """
-    return judge_logs([inspect_path(path, options) for path in paths], options)
+    return judge_logs([inspect_path(path, options) for path in paths], options, notes)
 
 
 def inspect_path(path: Path, options: BuildOptions) -> LogFindings:

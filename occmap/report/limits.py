@@ -187,7 +187,7 @@ CHECK: Measures = (
     Measure("jumps_back", COUNT, lambda it: sum(each.times.jumps_back for each in it.topics)),
     Measure("cells", COUNT, lambda it: it.map.columns * it.map.rows if it.map else 0),
     Measure("warnings", COUNT, lambda it: len(it.warnings)),
-    Measure("damage", COUNT, lambda it: sum(len(log.damage) for log in it.logs)),
+    DAMAGE,
 )
 
 COMPARE: Measures = (

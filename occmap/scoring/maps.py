@@ -10,11 +10,11 @@ import numpy as np
 from occmap.cells import CellClass, Decision, OccupancyMap
 from occmap.choices import check_bounds, option
 from occmap.difference.maps import ClassMap, Place, load_map
-from occmap.errors import MapError, require
+from occmap.errors import LogError, MapError, require
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes
-from occmap.report.results import doubt_agreement
+from occmap.report.results import doubt_agreement, name_frames
 from occmap.scans import Sample, list_hits
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
@@ -230,11 +230,11 @@ def score_by_logs(
     for rays in reading.list_rays():
         sample.add(rays)
     tally = reading.tally
-    tally.notes += sample.list_notes()
+    tally.notes += [*sample.list_notes(), *filter(None, [name_frames(tally)])]
     hits = list_hits(sample.parts)
     if not len(hits):
         where = ", ".join(tally.logs)
-        raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
+        raise LogError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = Walls.of(written.classes == OCCUPIED, place)
     found = find_match(hits, walls) if against.fit else AS_THEY_LIE
     moved = found.transform

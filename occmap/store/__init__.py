@@ -93,7 +93,8 @@ def open_store(path: Path) -> Blocks:
             found = "its table of blocks, or its ground, was altered"
             raise MapError(found, where=path, fix="build it again")
         blocks = [Block(*place) for place in table["place"].tolist()]
-        reach = dict(zip(blocks, map(CellBox._make, table["reach"].tolist()), strict=True))
+        reaches = zip(blocks, map(CellBox._make, table["reach"].tolist()), strict=True)
+        reach = {block: box for block, box in reaches if box.cells}  # older ones have empty blocks
         digest_of = dict(zip(blocks, map(bytes, table["sha256"]), strict=True))
         ground = unpack_ground(below)
 

@@ -172,7 +172,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
             del builds[place], slices[place]
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
     left = tuple(tiles.restrict(each, grid) for each in slices)
-    return Evidence(manifest, grid.tiles, left, ground=evidence.ground)
+    return Evidence(manifest, grid.tiles, left, notes=evidence.notes, ground=evidence.ground)
 
 
 def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from occmap import evidence, writers
 from occmap.cells import About, Box, CellBox, CellClass, Decision, Evidence, Manifest, OccupancyMap
 from occmap.choices import check_bounds, option
-from occmap.errors import UsageError
+from occmap.errors import MapError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
 from occmap.grid import Lattice, rendering
 from occmap.grid.rendering import Framing, choose_box, measure_bounds
@@ -28,7 +28,7 @@ from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
 from occmap.store import Blocks, identify, read_all, read_part
 from occmap.store.layout import SIDE, Block, list_blocks
-from occmap.types import Int64
+from occmap.types import Int64, UInt8
 from occmap.writers import Product, WriteOptions
 from occmap.writers.npz import refuse_damage
 
@@ -377,10 +377,38 @@ def read_overview(store: Blocks, side: int, options: RenderOptions) -> Occupancy
     classes = np.full(box.shape, CellClass.NEITHER, np.uint8)
     with refuse_damage(Path(store.where)):
         classes[there.within(box)] = arrays[side][there.within(whole)]
+    refuse_lost(store, side, there, classes[there.within(box)])
     origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
     is_known = classes != CellClass.NEITHER
     about = describe_about(store.manifest, identify(store), options)
     return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin, about=about)
+
+
+def refuse_lost(store: Blocks, side: int, box: CellBox, classes: UInt8) -> None:
+    """Refuse a picture that shows nothing of a block in which cells are free or occupied.
+
+    Parameters
+    ----------
+    box
+        What is shown of the picture, in its pixels.
+    classes
+        (H, W) of these.
+
+    Raises
+    ------
+    MapError
+        A file of the picture is missing, which reads as unknown.
+    """
+    row, col = store.root.attrs["occmap"]["offset"]
+    for reach in store.blocks.values():
+        shown = box.clip(reach.move(-row, -col).align(side).shrink(side))
+        if not shown.cells or classes[shown.within(box)].any():
+            continue
+        cells = shown.scale(side).move(row, col)
+        grid = evidence.to_grid(read_part(store, cells))
+        if evidence.paint_box(grid, evidence.read_model(store), cells).classes.any():
+            found = "a file of its pictures is missing"
+            raise MapError(found, where=store.where, fix="leave out `overview`, or build it again")
 
 
 def summarise(

@@ -45,7 +45,10 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
         It cannot be written.
     """
     zarr = layout.import_zarr()
-    box = CellBox.enclose(list(blocks) or [Block(0, 0)]).scale(BLOCK)
+    box, side = CellBox.enclose(list(blocks) or [Block(0, 0)]).scale(BLOCK), BLOCK
+    while max(box.shape) > side * LEVEL_CELLS:  # so that coarser pictures lie on a lattice, too
+        side *= 4
+        box = box.align(side)
     unit = find_unit(plan.update)
     with refuse_unwritable(path):
         root = zarr.create_group(path, attributes={"occmap": layout.make_head(plan, box[:2])})
@@ -167,7 +170,7 @@ def finish_store(
     manifest
         With all builds.
     records
-        What `write_block` said of each block.
+        What `write_block` said of each block; those in which nothing is left are passed over.
     ground
         What clouds were traced over.
 
@@ -176,7 +179,7 @@ def finish_store(
     OutputError
         It cannot be written.
     """
-    known = sorted(records)
+    known = sorted(record for record in records if record.cells)
     table, below = layout.make_table(known, manifest), pack_ground(ground)
     with edit_store(path) as root:
         head = layout.make_head(manifest, root.attrs["occmap"]["offset"])

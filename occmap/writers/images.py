@@ -27,7 +27,9 @@ from occmap.writers.pgm import GREYS, describe_image, write_yaml
 
 FORMATS = ("PPM", "PNG", "BMP")
 """What map servers load; PPM is pillow's name for the family of PGM."""
-EIGHT_BIT_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+COLOURED = ("P", "RGB", "RGBA")
+"""Map servers take the mean of red, green and blue, and pillow weighs these as an eye does."""
+EIGHT_BIT_MODES = ("1", "L", "LA", *COLOURED)
 DECODING_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error)
 """What pillow raises on damaged files."""
 
@@ -65,6 +67,9 @@ def read_grey(path: Path) -> GreyImage:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(path, formats=FORMATS) as image:
                 mode, pixels = image.mode, np.asarray(image.convert("LA"))
+                if mode in COLOURED:
+                    colours = np.asarray(image.convert("RGB")).mean(axis=-1, dtype=np.float32)
+                    pixels = np.stack([np.rint(colours).astype(np.uint8), pixels[..., 1]], axis=-1)
                 texts = {str(k): text for k, text in image.info.items() if isinstance(text, str)}
     except FileNotFoundError:
         raise MapError("no such file", where=path, fix="check the path") from None

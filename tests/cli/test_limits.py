@@ -147,6 +147,20 @@ def test_damage_weighs_more_than_a_limit_and_both_are_told(tmp_path: Path) -> No
     assert occmap("check", log, "--fail-if", "damage > 0").code == 3
 
 
+@pytest.mark.parametrize(
+    "line", ["build day -o m.png", "check day", "compare day --update beam", "tune day"]
+)
+def test_a_recording_that_nothing_can_read_is_damage_to_its_folder(here: Path, line: str) -> None:
+    (here / "day").mkdir()
+    write_csv(here / "day" / "drive.csv", [(0.1 * step, 0.0, 0.0) for step in range(30)], [1.0])
+    (here / "day" / "lost.bag").write_bytes(b"nothing")
+    told = occmap(f"{line} --json --fail-if damage>0")
+    assert (told.code, told.json["failed"][0]["value"]) == (3, 1)
+    assert told.err.count("lost.bag: passed over") == 1
+    noted = told.json["warnings" if line.startswith("check") else "damage"]
+    assert noted[0].startswith("day/lost.bag: passed over, though named like a recording")
+
+
 def test_a_log_that_cannot_be_mapped_weighs_more_than_a_limit() -> None:
     result = occmap("check", "no.csv", "--fail-if", "scans_read < 1", "--json")
     assert (result.code, len(result.json["failed"])) == (1, 1)

@@ -29,6 +29,8 @@ def test_a_log_on_stdin_and_a_map_on_stdout() -> None:
     assert b"414 of 414 used" in done.stderr
     assert b"stdout.pgm" not in done.stderr
     assert pipe("render map.npz -o -.png", b"").stdout == Path("m.png").read_bytes()
+    Path("edits.csv").write_text("forbidden,box,0,0,1,1\n")
+    assert pipe("render map.npz -o -.keepout.pgm --edits edits.csv", b"").stdout[:3] == b"P5\n"
 
 
 def test_explain_reads_stdin() -> None:
@@ -85,10 +87,11 @@ def test_an_empty_or_a_closed_stdin_is_said() -> None:
         assert (shut.returncode, shut.stderr) == (1, told)
 
 
-def test_a_folder_gets_a_map_named_after_the_log() -> None:
-    Path("maps").mkdir()
-    assert occmap("build", DRIVE, "-o", "maps/", "-r", "0.1").code == 0
-    assert {path.name for path in Path("maps").iterdir()} == {"drive.pgm", "drive.yaml"}
+@pytest.mark.parametrize("name", ["maps", "run.1"])
+def test_a_folder_gets_a_map_named_after_the_log(name: str) -> None:
+    Path(name).mkdir()
+    assert occmap("build", DRIVE, "-o", f"{name}/", "-r", "0.1").code == 0
+    assert {path.name for path in Path(name).iterdir()} == {"drive.pgm", "drive.yaml"}
 
 
 def test_the_recordings_of_a_folder_are_built_as_one() -> None:

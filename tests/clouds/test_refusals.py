@@ -107,6 +107,18 @@ def test_clouds_over_ground_that_is_known_must_lie_on_it(tmp_path: Path) -> None
     assert "was not measured in" in occmap("build", HALL, "--ground", first, "-o", other).err
 
 
+def test_what_a_plane_shows_is_not_added_to_what_lies_over_other_ground(tmp_path: Path) -> None:
+    """Of the hall more than a quarter is a ramp and a platform, which a plane calls occupied."""
+    hall, flat = tmp_path / "hall.npz", tmp_path / "flat.npz"
+    line, plane = ("build", HALL, "-o"), ("--ground", "flat", "--sensor-height", "0.6")
+    assert occmap(*line, hall).code == 0
+    assert occmap(*line, flat, *plane).code == 0
+    for words in ((*plane, "--resume", hall), ("--ground", hall, "--resume", flat)):
+        done = occmap(*line, tmp_path / "both.npz", *words)
+        assert (done.code, "lies over other ground" in done.err) == (1, True)
+    assert occmap(*line, tmp_path / "both.npz", *plane, "--resume", flat).code == 0
+
+
 @pytest.mark.parametrize(("model", "shown"), [("counting:cut=0.2", "=0.2,"), ("simple", "simple:")])
 def test_a_session_that_is_added_is_read_by_the_model_that_is_named(
     tmp_path: Path, model: str, shown: str

@@ -59,6 +59,15 @@ def test_a_png_of_another_tool_is_dark_where_occupied(tmp_path: Path) -> None:
     assert write_art(load_map(tmp_path / "m.png", OPTIONS).classes) == "#?."
 
 
+def test_colours_are_as_dark_as_map_server_takes_them(tmp_path: Path) -> None:
+    """The mean of red, green and blue: of green and blue 85, of yellow and cyan 170."""
+    colours = [(0, 255, 0), (0, 0, 255), (255, 255, 0), (0, 255, 255), (255, 255, 255)]
+    image = Image.fromarray(np.array([colours], np.uint8))
+    for number, kind in enumerate((image, image.convert("P"), image.convert("RGBA"))):
+        kind.save(tmp_path / f"{number}.png")
+        assert write_art(load_map(tmp_path / f"{number}.png", OPTIONS).classes) == "##??."
+
+
 def write_foreign(folder: Path, yaml: str, pixels: list[list[int]]) -> Path:
     Image.fromarray(np.array(pixels, np.uint8)).save(folder / "m.pgm")
     (folder / "m.yaml").write_text(yaml)
@@ -71,6 +80,13 @@ def test_a_yaml_of_another_tool_is_read_by_the_rules_of_map_server(tmp_path: Pat
     loaded = load_map(write_foreign(tmp_path, text, [[89, 90, 205, 206]]), OPTIONS)
     assert write_art(loaded.classes) == "#??."
     assert loaded.place == Place(0.05, -1.0, 2.0)
+
+
+def test_thresholds_that_a_yaml_goes_before_are_noted(tmp_path: Path) -> None:
+    path = write_foreign(tmp_path, META + THRESHOLDS, [[120]])
+    loaded = load_map(path, WriteOptions(occupied_thresh=0.5))
+    (note,) = loaded.notes
+    assert (write_art(loaded.classes), note.endswith("and not `occupied_thresh`")) == ("?", True)
 
 
 def test_a_map_may_lie_where_a_float_still_tells_metres_apart(tmp_path: Path) -> None:

@@ -390,6 +390,12 @@ def interrupt(scratch: Path, options: BuildOptions) -> Path:
     return made
 
 
+def test_a_scratch_folder_that_the_user_made_stays(tmp_path: Path) -> None:
+    with open_scratch(tmp_path, LOGS, OPTIONS, Keep()) as made:
+        assert made.parent == tmp_path
+    assert not [*tmp_path.iterdir()]
+
+
 def test_a_build_goes_on_only_where_its_trajectory_is_the_same(tmp_path: Path) -> None:
     poses = tmp_path / "poses.tum"
     options = replace(OPTIONS, posing=PosingOptions(poses=str(poses)))

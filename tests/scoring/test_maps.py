@@ -11,7 +11,7 @@ import pytest
 
 from occmap.cells import CellClass, OccupancyMap
 from occmap.difference.maps import ClassMap, Place, load_map
-from occmap.errors import MapError, UsageError
+from occmap.errors import LogError, MapError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
@@ -215,7 +215,7 @@ def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
         with pytest.raises(MapError, match=found):
             score_by_truth(written, truth, 0.1)
     blind = write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)] * 2, [math.nan])
-    with pytest.raises(MapError, match="no beam measured a range"):
+    with pytest.raises(LogError, match="no beam measured a range"):
         ask(ROOM, blind)
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -277,12 +278,43 @@ def test_an_overview_is_the_map_made_small(
     assert abs(whole.classes.size - small.classes.size * 16) <= 64 * sum(whole.classes.shape)
 
 
-def test_an_overview_that_is_cut_says_so(built: Path, tmp_path: Path) -> None:
+def test_the_coarsest_overview_lies_on_the_lattice_of_its_pixels(here: Path) -> None:
+    """Else a GeoTIFF of it, and what is drawn over it, would lie beside it."""
+    log = write_csv(here / "far.csv", [(-100.0, -100.0, 0.0), (60000.0, -100.0, 0.0)], [2.0])
+    ask(f"build {log} --max-speed inf -o far.zarr")
+    ask("render far.zarr --overview 4096 -o m.pgm")
+    place = load_map(here / "m.pgm", WriteOptions()).place
+    assert place == (4096 * 0.05, -4096 * 0.05, -4096 * 0.05)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "found"),
+    [
+        (lambda folder: os.truncate(folder / "zarr.json", 20), "cannot be read: it is cut or alt"),
+        (lambda folder: (folder / "c" / "0" / "0").unlink(), "a file of its pictures is missing"),
+    ],
+)
+def test_an_overview_that_is_cut_says_so(
+    built: Path, tmp_path: Path, spoil: Callable[[Path], None], found: str
+) -> None:
     store = tmp_path / "cut.zarr"
     shutil.copytree(built / "whole.zarr", store)
-    os.truncate(store / "classes" / "4" / "zarr.json", 20)
+    spoil(store / "classes" / "4")
     done = occmap("render", store, "-o", tmp_path / "m.pgm", "--overview", "4")
-    assert "cannot be read: it is cut or altered; build it again" in read_error(done, 1)
+    assert found in read_error(done, 1)
+
+
+def test_nothing_is_left_of_blocks_that_are_taken_away(built: Path, here: Path) -> None:
+    whole = built / "whole.zarr"
+    ask(f"build {DRIVE} --resolution {FINE} --pass-gap 3 --transform 300,0,0 -o far.zarr")
+    ask(f"merge {whole} far.zarr -o both.zarr")
+    ask("merge both.zarr --subtract far.zarr -o left.zarr")
+    one, other = (open_store(each) for each in (whole, here / "left.zarr"))
+    assert one.blocks == other.blocks
+    heads = [each.root.attrs["occmap"] for each in (one, other)]
+    assert heads[0]["digest"] == heads[1]["digest"]
+    small = [ask(f"render {each} --overview 4 -o m.pgm")["map"] for each in (whole, "left.zarr")]
+    assert small[0] == small[1]
 
 
 @pytest.mark.parametrize(

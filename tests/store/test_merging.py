@@ -206,6 +206,12 @@ def test_radial_evidence_of_two_depths_is_refused(tmp_path: Path) -> None:
         merge([first, second])
 
 
+def test_what_is_said_of_a_sum_is_said_of_what_is_left_of_it(tmp_path: Path) -> None:
+    first, second = (save(tmp_path / "m.npz", each) for each in halve(choose()))
+    told = merge([first, replace(second, notes=("moved",))], [second])
+    assert told.notes == ("moved",)
+
+
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 def test_more_than_is_there_cannot_be_taken_away(tmp_path: Path, model: str) -> None:
     first, second = (save(tmp_path / "m.npz", each) for each in halve(choose(model=model)))
