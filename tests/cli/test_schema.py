@@ -1,20 +1,15 @@
 """What commands print with --json is what the schemas say, no more and no less."""
 
 import gzip
-import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
 
-from occmap.cells import Box
 from occmap.cli import COMMANDS
-from occmap.cli.lists import NAMES, make_schema
-from occmap.report import HIDDEN, Count, Finite, Share, printed_as, to_plain
+from occmap.cli.lists import NAMES
 from tests.cli.runner import find_command, occmap
 from tests.inspection_logs import Drive, write_bag
 from tests.samples import DRIVES, SAMPLE_LOGS, write_csv
@@ -169,122 +164,29 @@ def test_an_unknown_field_or_a_missing_one_is_found() -> None:
     assert not validator.is_valid({key: printed[key] for key in printed if key != "notes"})
 
 
-class Colour(StrEnum):
-    RED = "red"
-    BLUE = "blue"
-
-
-class Corner(NamedTuple):
-    """A place."""
-
-    x: float
-    """Where it is (m)"""
-
-
-@dataclass(frozen=True)
-class Room:
-    """A room of a house."""
-
-    size: Finite
-    """How large it is,
-    wall to wall (m2)"""
-    corners: tuple[Corner, ...]
-    """Its corners"""
-    paint: Colour | None = field(metadata=printed_as("colour"))
-    """Of its walls"""
-    key: object = field(default=None, metadata=HIDDEN)
-
-
-@dataclass(frozen=True)
-class Named:
-    """What has a name."""
-
-    name: str
-    """What it is called"""
-
-
-@dataclass(frozen=True)
-class House(Named):
-    """A house."""
-
-    rooms: list[Room]
-    """Its rooms"""
-    people: dict[str, Count]
-    """Who lives there, by age"""
-    lit: Share
-    """Share of the rooms that are lit"""
-    age: Literal["old", "new"]
-    """How old it is"""
-    extent: Box
-    """Lowest x and y, highest x and y (m)"""
-
-
-@dataclass(frozen=True)
-class Sale:
-    """What an agent adds."""
-
-    sold: bool
-    """It is sold"""
-
-
-HOUSE = House(
-    name="ours",
-    rooms=[Room(float("nan"), (Corner(1.0), Corner(2.0)), Colour.BLUE), Room(9.5, (), None)],
-    people={"children": 2},
-    lit=0.5,
-    age="old",
-    extent=(0.0, 0.0, 4.0, 5.0),
-)
-
-PRINTED = {
-    "name": "ours",
-    "rooms": [
-        {"size": None, "corners": [{"x": 1.0}, {"x": 2.0}], "colour": "blue"},
-        {"size": 9.5, "corners": [], "colour": None},
-    ],
-    "people": {"children": 2},
-    "lit": 0.5,
-    "age": "old",
-    "extent": [0.0, 0.0, 4.0, 5.0],
-}
-
-SCHEMA = make_schema("house", House, Sale)
-
-
-def test_values_become_what_json_has() -> None:
-    assert to_plain(HOUSE) == PRINTED
-
-
-def test_a_schema_is_the_type_with_the_texts_below_its_fields() -> None:
-    fields, room = SCHEMA["properties"], SCHEMA["properties"]["rooms"]["items"]
-    assert (SCHEMA["title"], SCHEMA["description"]) == ("occmap house --json", "A house.")
-    assert list(fields) == ["schema", *PRINTED, "sold"]
-    assert fields["schema"]["const"] == "occmap/house/1"
-    assert fields["name"]["description"] == "What it is called"
-    assert room["description"] == "A room of a house."
-    assert room["properties"]["size"]["description"] == "How large it is, wall to wall (m2)"
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"name": 1},
-        {"rooms": [{"size": "large", "corners": [], "colour": None}]},
-        {"rooms": [{"size": 1.0, "corners": [], "colour": "green"}]},
-        {"rooms": [{"size": 1.0, "corners": [{"x": 1.0, "y": 2.0}], "colour": None}]},
-        {"rooms": [{"size": 1.0, "corners": []}]},
-        {"people": {"children": -1}},
-        {"lit": 1.5},
-        {"age": "odd"},
-        {"extent": [0.0, 0.0, 4.0]},
-        {"sold": 1},
+        {"model": 1},
+        {"class": "odd"},
+        {"probability": 1.5},
+        {"probability": -0.5},
+        {"unit": -1},
+        {"unit": 0.5},
+        {"map_extent": [0.0, 0.0, 4.0]},
+        {"map_extent": [0.0, 0.0, 4.0, 5.0, 6.0]},
+        {"notes": [1]},
+        {"cell": {"row": 0, "column": 6}},
+        {"seen": {"hits": None}},
         {"news": 1},
-        {"extent": [0.0, 0.0, 4.0, 5.0, 6.0]},
-        {"lit": -0.5},
     ],
 )
 def test_what_is_not_of_the_type_is_refused(wrong: dict[str, Any]) -> None:
-    validator = Draft202012Validator(json.loads(json.dumps(SCHEMA)))
-    right = {"schema": "occmap/house/1", **PRINTED, "sold": True}
-    validator.validate(right)
-    assert not validator.is_valid(right | wrong)
+    right = validate("explain", "a.npz", "0.3", "0")
+    assert not Draft202012Validator(load("explain")).is_valid(right | wrong)
+
+
+def test_a_number_that_json_lacks_is_null() -> None:
+    write_csv(Path("c.csv"), [(1.0, 0.0, 0.0)] * 5, [0.4], 0.3)  # of which one scan is held out
+    (only,) = validate("compare", "c.csv", "--model", "simple", "--update", "beam")["variants"]
+    assert only["share_error"] is None
