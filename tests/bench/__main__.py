@@ -143,7 +143,6 @@ class Bench:
     def _measure_many(self, few: Workload) -> None:
         """What needs ten times the scans."""
         many, folder = make_office("office", WIDE, 10 * few.scans), self.folder / "tenfold"
-        self.rows += limits.compare_threads(many)
         folder.mkdir()
         logs = {workload.scans: write_mcap(workload, folder) for workload in (few, many)}
         self.rows += [

@@ -5,11 +5,10 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
-from time import perf_counter, process_time
 
 import numpy as np
 from rosbags.rosbag2 import Reader
@@ -20,7 +19,6 @@ from occmap.pipeline import build
 from occmap.readers import open_log
 from occmap.scans.logs import choose_topics
 from occmap.types import BEAM_UPDATES, Scan, ScanBatch, Update
-from tests.bench.engine import COUNTS, trace
 from tests.bench.logs import write_mcap
 from tests.bench.measuring import ROUNDS, Times, take_in_turn, time_in_turn
 from tests.bench.processes import OCCMAP, Command, build_command, measure_size, run
@@ -90,24 +88,6 @@ def compare_engine(times: Times, workload: Workload) -> Iterator[Row]:
         what = f"surface / beam, counts, {workload.name.partition(',')[0]}"
         detail = f"{tell(SURFACE)} / {tell(BEAM)} us a scan"
         yield Row(what, most, times.ratio(SURFACE, BEAM), detail)
-
-
-def compare_threads(workload: Workload) -> Iterator[Row]:
-    """Two threads against one: ranges to evidence, without reading."""
-    for update in BEAM_UPDATES:
-        runs = {str(jobs): partial(trace, workload, update, COUNTS, jobs) for jobs in (2, 1)}
-        times = time_in_turn(runs, 2 * ROUNDS)
-        what = f"{update.value}: two threads / one, engine only, {workload.scans} scans"
-        row = compare(times, ("2", "1"), what, THREADS_LIMIT)
-        busy = ", ".join(f"{count_busy_cores(run):.2f}" for run in runs.values())
-        yield replace(row, detail=f"{row.detail}; cores at work: {busy}")
-
-
-def count_busy_cores(run: Callable[[], object]) -> float:
-    """Processor time over time: less than the threads where these wait, or others work here too."""
-    wall, processor = perf_counter(), process_time()
-    run()
-    return (process_time() - processor) / (perf_counter() - wall)
 
 
 def compare_builds(log: Path) -> Iterator[Row]:
