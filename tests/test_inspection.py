@@ -455,12 +455,6 @@ def test_a_build_of_a_short_log_names_the_mount_of_a_mirrored_laser(
     assert told == ([f"{path}: scan: {better}"] if mirrored else [])
 
 
-def test_ranges_below_the_limit_that_scans_state_are_told(here: Path) -> None:
-    found = look(write_csv(here / "few.csv", Drive(spoil=lambda measured: measured / 1000)))
-    assert "all ranges lie below the range_min that the scans state" in found.warnings[0]
-    assert found.command == ()
-
-
 def test_a_few_hits_are_no_reason_to_name_a_mount(tmp_path: Path) -> None:
     places = [(0.1 * step, 0.0, 0.1 * step) for step in range(10)]
     path = tmp_path / "few.csv"

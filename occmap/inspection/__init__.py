@@ -21,7 +21,7 @@ from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
-from occmap.inspection.survey import BELOW, BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
+from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build, find_child
 from occmap.posing import Concern, Doubt, DropReason
 from occmap.readers import Role, open_log
@@ -278,10 +278,8 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
         yield poses.warn_of_body(ranges.body)
     if ranges.measured:
         return
-    names = {special.name for special in ranges.specials}
-    if not names.isdisjoint({BEYOND, BELOW}):
-        side = "beyond the limit" if BEYOND in names else "below the range_min"
-        found = f"all ranges lie {side} that the scans state: is one of the two in mm?"
+    if any(special.name == BEYOND for special in ranges.specials):
+        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
         yield Concern(found, command="")
     else:
         yield Concern("no range value is a measurement")

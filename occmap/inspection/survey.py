@@ -35,7 +35,7 @@ NEIGHBOURHOOD_M = 0.1
 other value within this distance (`bands.DOMINANCE`). Ranges to a wall spread by their noise, even
 if nothing moves."""
 
-BEYOND, BELOW = "> range_max", "< range_min"
+BEYOND = "> range_max"
 NO_RETURNS = ("+inf", "= range_max", BEYOND)
 """The kinds that `no_return` decides about; all others are skipped."""
 
@@ -77,7 +77,7 @@ def tell_kinds(it: Float32, low: Float32, high: Float32) -> Iterator[tuple[str, 
     yield "nan", "not measured (REP 117)", np.isnan(it)
     yield "zero", "no return or too close: drivers differ", it == 0
     yield "negative", "an error code", (it < 0) & (it > -np.inf)
-    yield BELOW, "too close to trust", (it > 0) & (it < low)
+    yield "< range_min", "too close to trust", (it > 0) & (it < low)
 
 
 class RangeCensus:
@@ -120,9 +120,8 @@ class RangeCensus:
         is_code = any(low <= item.value <= high for item in repeated)
         measured = self.total - self.counts.total()
         is_open = crossed is not None and crossed < MOSTLY_OPEN
-        # Where all ranges lie beyond the limits, one of the two is in another unit.
-        odd = (n for (name, _), n in self.counts.items() if name in {BEYOND, BELOW})
-        beyond = 0 if measured else sum(odd)
+        # Where all ranges lie beyond the limit, one of the two is in another unit.
+        beyond = 0 if measured else sum(n for (name, _), n in self.counts.items() if name == BEYOND)
         is_limit = math.isfinite(self.limit) and not beyond
         suggested = "clear" if is_open and not is_code and is_limit else "ignore"
         return RangeFindings(

@@ -20,7 +20,7 @@ from occmap.posing import Concern, DropReason, Stamps, tracks
 from occmap.posing.chain import Chain, Moving, Status, Transforms, make_chain, turn
 from occmap.posing.frames import Edge, Source
 from occmap.posing.tracks import Track, TrackBuilder
-from occmap.types import IDENTITY, Bool, Float64, Int64, PosedScans, UInt8
+from occmap.types import Bool, Float64, Int64, PosedScans, UInt8
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
@@ -28,8 +28,6 @@ STRIDE_M = 1.0
 """A shorter step may be a correction of drift."""
 STRIDE_S = 10.0
 """Between samples that are further apart in time a robot may have been carried."""
-RESTART_M, RESTART_RAD = 0.01, 0.01
-"""Odometry that begins anew is as near to its zero, and as straight"""
 STRIDE_TIMES = 2.5
 """No robot drives this many times as fast as usual."""
 LONG_STEPS = 2.0
@@ -43,7 +41,6 @@ FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
 FLICKER_ROW, ROW_GAP, FLICKER_TIMES, LEAST_SIDE = 10, 2, 2.0, 0.2
 """Where it does so again and again, no more samples apart, and so many times as far as noise does,
 what lies before or behind that may be kept, if it is a larger share of the scans"""
-ONE_TRAJECTORY = "give one trajectory with `poses`"
 UNREAL_M_PER_S, BLIND_M_PER_S = 100.0, 10.0
 """A quarter of the steps of no car is as fast, or where it sees less far than it goes from scan to
 scan; those of a robot of which places are in mm are, or in cm."""
@@ -84,30 +81,16 @@ def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | Non
             found = f"the stamps of {name} were set back by {track.set_back_s:.3g} s"
             why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
             return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
-        why = "was the clock set back, or do two nodes send it?"
-        if span := find_torn_span(track):
-            found = f"{name} is at two places at once, at {len(track.torn_ns):,} stamps: {why}"
-            remedy = leave_span_out(span, scans_ns, first_ns)
-            mend = f"{mark_options(remedy)} keeps what is not mixed" if remedy else ONE_TRAJECTORY
-            return Concern(f"{found} {mend}", remedy, "build" if remedy else "")
         found = f"{name} jumps to and fro"
         if remedy := leave_row_out(track, scans_ns, first_ns):
+            why = "was the clock set back, or do two nodes send it?"
             keep = f"{mark_options(remedy)} keeps what is not mixed"
             return Concern(f"{found} for a while: {why} {keep}", remedy)
         share = len(list_turns(track, scans_ns, 1.0)) / len(track)
         if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
             found += f" at {share:.0%} of its {len(track):,} samples"
-            return Concern(f"{found}: do two nodes send it? {ONE_TRAJECTORY}")
+            return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
     return None
-
-
-def find_torn_span(track: Track) -> tuple[int, int] | None:
-    """Find from when to when a track is at two places at most stamps, if it is for a while."""
-    if len(track.torn_ns) < FLICKER_ROW:
-        return None
-    start_ns, end_ns = int(track.torn_ns[0]), int(track.torn_ns[-1])
-    within = np.count_nonzero((track.stamp_ns >= start_ns) & (track.stamp_ns <= end_ns))
-    return (start_ns, end_ns) if 2 * len(track.torn_ns) > within else None
 
 
 def leave_row_out(track: Track, scans_ns: Int64, first_ns: int) -> dict[str, str]:
@@ -120,13 +103,7 @@ def leave_row_out(track: Track, scans_ns: Int64, first_ns: int) -> dict[str, str
     row = max(np.split(turns, np.flatnonzero(np.diff(turns) > ROW_GAP) + 1), key=len)
     if len(row) < FLICKER_ROW:
         return {}
-    span = int(track.stamp_ns[row[0] - 1]), int(track.stamp_ns[row[-1] + 1])
-    return leave_span_out(span, scans_ns, first_ns)
-
-
-def leave_span_out(span: tuple[int, int], scans_ns: Int64, first_ns: int) -> dict[str, str]:
-    """Find the option that keeps most scans (S,) before or behind a span (ns), if it keeps some."""
-    start_ns, end_ns = span
+    start_ns, end_ns = int(track.stamp_ns[row[0] - 1]), int(track.stamp_ns[row[-1] + 1])
     sides = np.array([np.mean(scans_ns <= start_ns), np.mean(scans_ns >= end_ns)])
     is_enough = sides.max() >= LEAST_SIDE
     return keep_longest(sides, [(start_ns, end_ns)], first_ns) if is_enough else {}
@@ -233,32 +210,23 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
 def find_strides(track: Track) -> Int64:
     """Find the steps (K,) that are far too fast for a robot that drives as it does beside them.
 
-    Such a step is longer than 1 m and than twice nearly all steps (19 of 20). It takes at most 10 s
-    and is 2.5 times as fast as nearly all of them, and as the third fastest of the ten steps to
-    either side. Or, whatever time it takes, it ends at zero, as where odometry begins anew.
+    Such a step takes at most 10 s and is longer than 1 m and than twice nearly all steps (19 of
+    20). It is 2.5 times as fast as nearly all of them, and as the third fastest of the ten steps to
+    either side.
     """
     if len(track) < 3:
         return np.zeros(0, np.int64)
     speed = track.step_m / np.maximum(track.interval_s, 1e-3)
     usual = max(SLOW_M_PER_S, float(np.quantile(speed, 0.95)))
     long_m = max(STRIDE_M, LONG_STEPS * float(np.quantile(track.step_m, 0.95)))
-    far = track.step_m > long_m
-    restarts = np.flatnonzero(far & is_at_zero(track)[1:])
-    steps = np.flatnonzero(far & (track.interval_s <= STRIDE_S) & (speed > STRIDE_TIMES * usual))
+    far = (track.step_m > long_m) & (track.interval_s <= STRIDE_S)
+    steps = np.flatnonzero(far & (speed > STRIDE_TIMES * usual))
     beside = steps[:, None] + BESIDE
     known = (beside >= 0) & (beside < len(speed))
     beside_m_per_s = np.where(known, speed[np.clip(beside, 0, len(speed) - 1)], 0)
     fast = np.partition(beside_m_per_s, -FASTEST_BESIDE, axis=1)[:, -FASTEST_BESIDE]
-    strides: Int64 = np.union1d(steps[speed[steps] > STRIDE_TIMES * fast], restarts)
+    strides: Int64 = steps[speed[steps] > STRIDE_TIMES * fast]
     return strides
-
-
-def is_at_zero(track: Track) -> Bool:
-    """(N,) at which samples a track is where odometry begins."""
-    straight = np.broadcast_to(np.array(IDENTITY[3:]), track.quaternion.shape)
-    turned = tracks.angle_between(track.quaternion, straight) >= RESTART_RAD
-    near: Bool = np.linalg.norm(track.position, axis=1) < RESTART_M
-    return near & ~turned
 
 
 def list_turns(track: Track, scans_ns: Int64, times: float) -> Int64:

@@ -5,7 +5,7 @@ Rotations are vectorised: quaternions as (N, 4) rows of x, y, z, w; matrices as 
 
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
@@ -97,9 +97,6 @@ FIXED_RAD = 1e-4
 MAX_STAMP_NS = 2**62
 """The latest stamp, in the year 2116: a later one is damage. Differences of two fit an int64."""
 
-TORN_M = 0.1
-"""Poses of one stamp are no farther apart, unless two bodies have them"""
-
 MAX_VALUE = 1e12
 """The largest coordinate (m): light takes an hour for it, and sums stay finite."""
 
@@ -118,8 +115,6 @@ class Track:
     """The log says that it holds at all times; N = 1."""
     set_back_s: float = 0.0
     """By how much stamps went back, at most, from one moment of recording to the next"""
-    torn_ns: Int64 = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(T,) stamps of samples that took the place of others, which lie elsewhere"""
 
     @classmethod
     def fixed(cls, pose: Pose) -> Self:
@@ -206,23 +201,9 @@ class TrackBuilder:
         stamp, record = times.T
         set_back_s = measure_set_back(stamp[kept], record[kept])
         kept = kept[np.lexsort((record[kept], stamp[kept]))]
-        torn_ns = find_torn(times[kept], values[kept, :3])
         kept = kept[np.append(np.diff(stamp[kept]) > 0, True)]
         unit = values[kept, 3:] / norm[kept, None]
-        return Track(stamp[kept], values[kept, :3], unit, set_back_s=set_back_s, torn_ns=torn_ns)
-
-
-def find_torn(times: Int64, position: Float64) -> Int64:
-    """Find the stamps (T,) at which samples, in their order (N, 2), lie at two places at once.
-
-    A path is sent again and again, each time as it is known then.
-    """
-    same = np.flatnonzero(np.diff(times[:, 0]) == 0)
-    if not same.size or 2 * len(np.unique(times[:, 1])) < len(times):
-        same = same[:0]
-    apart = np.linalg.norm(position[same + 1] - position[same], axis=1) > TORN_M
-    torn_ns: Int64 = np.unique(times[same[apart], 0])
-    return torn_ns
+        return Track(stamp[kept], values[kept, :3], unit, set_back_s=set_back_s)
 
 
 def find_unset(times: Int64, values: Float64) -> Int64:

@@ -218,7 +218,6 @@ def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
 STDIN = Path("-")
 RECORDED = (".mcap", ".bag", ".db3")
 """Suffixes that only recordings have; others are taken for such where a recording has them."""
-PACKED = {".gz", ".zst", ".zstd", ".bz2", ".lz4", ".xz"}
 
 
 Inputs: TypeAlias = tuple[list[Path], list[str]]
@@ -251,8 +250,8 @@ def find_inputs(
             continue
         kept.sort(key=lambda each: find_start(each, options))
         logs += kept
-        suffixes = {*RECORDED, *map(find_suffix, kept)}
-        lost = [each for each in maybe if find_suffix(each) in suffixes and each not in kept]
+        suffixes = {*RECORDED, *(each.suffix.lower() for each in kept)}
+        lost = [each for each in maybe if each.suffix.lower() in suffixes and each not in kept]
         notes.append(describe_found(path, kept, len(entries) - len(kept) - len(lost)))
         for each in lost:
             try:
@@ -260,14 +259,8 @@ def find_inputs(
             except LogError as error:
                 told = f"passed over, though named like a recording: {error.found}"
                 # Text may be anything, but a bag or an MCAP file was recorded.
-                notes.append(Note(f"{each}: {told}", damage=find_suffix(each) in RECORDED))
+                notes.append(Note(f"{each}: {told}", damage=each.suffix.lower() in RECORDED))
     return logs, notes
-
-
-def find_suffix(path: Path) -> str:
-    """Find the suffix that says what a file is, in small letters, before that of a packer."""
-    suffixes = [each.lower() for each in path.suffixes]
-    return next((each for each in reversed(suffixes) if each not in PACKED), "")
 
 
 def list_entries(path: Path) -> list[Path]:

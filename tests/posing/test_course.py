@@ -253,39 +253,6 @@ def test_odometry_that_is_carried_elsewhere_is_told() -> None:
     assert concern.remedy == {"start_s": "30"}
 
 
-@pytest.mark.parametrize(("x", "told"), [(0.0, 1), (0.02, 0)])
-def test_odometry_that_begins_anew_after_a_pause_is_told(x: float, told: int) -> None:
-    """In 20 s it may have driven anywhere, but not to the very place where odometry begins."""
-    before = [at(s, "odom", "base_link", turned(0, 3 + 0.1 * s)) for s in range(40)]
-    behind = [at(60 + s, "odom", "base_link", turned(0, x + 0.1 * s)) for s in range(41)]
-    concerns = watch(make_mounted(*before, *behind))
-    assert [each.remedy for each in concerns] == [{"start_s": "60"}] * told
-
-
-@pytest.mark.parametrize(
-    ("again", "remedy"), [(range(101), {}), (range(70, 101), {"end_s": "70"}), (range(5), None)]
-)
-def test_poses_that_are_at_two_places_at_once_are_told(
-    again: range, remedy: dict[str, str] | None
-) -> None:
-    """Two robots in one simulation, whose stamps are the same; a few such poses may be noise."""
-    one = [at(s, "odom", "base_link", turned(0, 0.1 * s)) for s in SECONDS]
-    other = [at(s, "odom", "base_link", turned(0, 0.1 * s, 5)) for s in again]
-    late = [each._replace(record_ns=each.record_ns + 1) for each in other]
-    concerns = watch(make_mounted(*one, *late))
-    places = [it.remedy for it in concerns if "is at two places at once" in it.text]
-    assert places == ([] if remedy is None else [remedy])
-
-
-def test_a_path_that_was_improved_is_at_one_place() -> None:
-    paths = [
-        at(s, "map", "", turned(0, 0.1 * s, 0.01 * now))._replace(record_ns=now * SECOND)
-        for now in (50, 100)
-        for s in range(now + 1)
-    ]
-    assert not watch(make_poser(*paths, bolted("base_link", "laser", NOWHERE)))
-
-
 @pytest.mark.parametrize(("every", "jumps"), [(1, 1), (4, 1), (20, 0)])
 def test_poses_beside_the_scans_are_watched(tmp_path: Path, every: int, jumps: int) -> None:
     """A robot at 0.2 m a second, carried by 4 m: in 20 s it may have driven there."""
