@@ -16,7 +16,7 @@ from occmap.errors import DamageError, LogError
 from occmap.jit import kernel, step
 from occmap.readers import NoteList
 from occmap.readers.fields import get, get_bytes, get_header, get_list, get_row, get_whole, look
-from occmap.types import Bool, Cloud, Float32, Float64, Int32, Int64, UInt8
+from occmap.types import Bool, Cloud, Float32, Int32, Int64, UInt8
 from occmap.values import as_text, shorten
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
@@ -345,11 +345,11 @@ EDGE, BESIDE, STEEPER = 2, 3, 2
 """An edge blurs so many pixels; so many more beside them show how a surface slants, and an edge is
 so many times as steep"""
 RIM = EDGE + BESIDE
-FEWEST, SAMPLE, STRIDE = 1 << 8, 1 << 11, 7919
+FEWEST, SAMPLE, STRIDE = 1 << 8, 1 << 12, 7919
 """Fewer points do not show if they are pixels; so many do, at steps that are in time with no row"""
 FINEST, OFF, MOST_PIXELS, MOST_EMPTY = 1e-4, 0.2, 1 << 12, 16
-"""A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and an
-image has no more columns or rows, and no more pixels for each point"""
+"""A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
+more pixels from one another, in an image of no more pixels for each of them"""
 
 
 def find_flying(depth: Float32, focal: float) -> Bool:
@@ -403,94 +403,58 @@ def leave_out_flying(cloud: Cloud) -> Cloud:
         return cloud
     if (points[:: len(points) // 64, 2] < 0).any():  # as nearly all others have
         return cloud
-    flat = np.array(points).reshape(-1)
-    slopes = np.empty((2, SAMPLE))
-    many = list_slopes(flat, (STRIDE + (len(points) % STRIDE == 0)) % len(points), slopes)
-    if many < FEWEST:
+    stride = STRIDE + (len(points) % STRIDE == 0)
+    some = points[np.arange(min(SAMPLE, len(points))) * stride % len(points)]
+    some = some[some[:, 2] != 0]
+    if not (some[:, 2] >= 0).any() or (some[:, 2] < 0).any():
         return cloud
-    (left, wide, cols), (top, high, rows) = map(find_step, np.sort(slopes[:, :many]))
-    if not 0 < cols * rows <= MOST_EMPTY * len(points):
+    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
+        across, down = find_step(some[:, 0] / some[:, 2]), find_step(some[:, 1] / some[:, 2])
+    if not (across and down):
         return cloud
-    shape = rows + 4 * RIM, cols + 4 * RIM  # there may be some columns and rows more
-    depth, flying = np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8)
-    share = max(FLYING_SHARE, FLYING_PIXELS * max(wide, high))
-    image = depth.reshape(-1), shape[1], share, flying.reshape(-1)
-    corner = left - 2 * RIM * wide, top - 2 * RIM * high
-    drop_flying(flat, corner, (wide, high), image, np.empty(len(points), np.int32))
-    return cloud._replace(points=flat.reshape(-1, 3))
+    points, pixels = np.array(points), np.empty((3, len(points)), np.int32)
+    many = place_pixels(points.reshape(-1), across, down, pixels)
+    which, col, row = pixels[:, :many]
+    if many == 0 or np.ptp(col) * np.ptp(row) > MOST_EMPTY * many:  # a flipped bit, too
+        return cloud
+    col, row = col - col.min(), row - row.min()
+    depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
+    depth[row, col] = points[which, 2]
+    points[which[find_flying(depth, 1 / max(across[1], down[1]))[row, col]]] = np.nan
+    return cloud._replace(points=points)
+
+
+def find_step(slopes: Float32) -> tuple[float, float] | None:
+    """Find the least of some slopes, and the width of a pixel, if they are even steps."""
+    order = np.sort(slopes[np.isfinite(slopes)]).astype(np.float64)
+    gaps = np.diff(order)
+    if not (gaps > FINEST).any():
+        return None
+    steps = np.rint(gaps / np.median(gaps[gaps > FINEST])).cumsum()
+    width = (order[-1] - order[0]) / max(steps[-1], 1)
+    is_even = np.abs((order[1:] - order[0]) / width - steps).max() < OFF
+    return (float(order[0]), float(width)) if is_even else None
 
 
 @kernel
-def list_slopes(points: Float32, stride: int, slopes: Float64) -> int:
-    """List x / z and y / z (2, S) of some points (3 N,); return how many, 0 if z is below zero."""
-    many, seen, i, size = 0, 0, 0, points.size // 3
-    while seen < size and many < slopes.size // 2:
-        seen += 1
-        i += stride - (size if i + stride >= size else 0)
-        z = points[3 * i + 2]
-        if z < 0:
-            return 0
-        across, down = points[3 * i] / z, points[3 * i + 1] / z
-        if np.isfinite(across) and np.isfinite(down):
-            slopes[0, many], slopes[1, many] = across, down
-            many += 1
-    return many
-
-
-@kernel
-def find_step(slopes: Float64) -> tuple[float, float, int]:
-    """Find the least of some slopes, in order, the width of a pixel, and how many there are.
-
-    There are none where slopes are no even steps.
-    """
-    gap, steps = np.inf, 0.0
-    for i in range(1, slopes.size):
-        apart = slopes[i] - slopes[i - 1]
-        gap = min(gap, apart if apart > FINEST else np.inf)
-    for i in range(1, slopes.size):
-        steps += np.rint((slopes[i] - slopes[i - 1]) / gap)
-    if not 0 < steps < MOST_PIXELS:
-        return 0.0, 0.0, 0
-    width, pixels = (slopes[-1] - slopes[0]) / steps, int(steps) + 1
-    steps = 0.0
-    for i in range(1, slopes.size):
-        steps += np.rint((slopes[i] - slopes[i - 1]) / gap)
-        if abs((slopes[i] - slopes[0]) / width - steps) >= OFF:
-            return 0.0, 0.0, 0
-    return slopes[0], width, pixels
-
-
-@kernel
-def drop_flying(
-    points: Float32,
-    corner: tuple[float, float],
-    pixel: tuple[float, float],
-    image: tuple[Float32, int, float, UInt8],
-    pixels: Int32,
-) -> None:
-    """Make points (3 N,) NaN that hang in the air.
+def place_pixels(
+    points: Float32, across: tuple[float, float], down: tuple[float, float], pixels: Int32
+) -> int:
+    """Say in which column and row some points (3 N,) lie, if not far off; return how many do.
 
     Parameters
     ----------
-    corner, pixel
-        x / z and y / z in the middle of the first pixel, and how far it is to the next.
-    image
-        What `mark_flying` takes: depths that are NaN, and marks that are zero; written.
+    across, down
+        Slopes in the middle of a column and of a row, and how far it is to the next.
     pixels
-        (N,) to work with.
+        (3, N) which points were seen, their columns and their rows; written.
     """
-    depth, width, share, flying = image
-    high, per_col, per_row = depth.size // width, 1 / pixel[0], 1 / pixel[1]
-    for i in range(pixels.size):  # without branches, so that processors place several at once
+    many = 0
+    for i in range(points.size // 3):
         x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
-        col, row = np.rint((x / z - corner[0]) * per_col), np.rint((y / z - corner[1]) * per_row)
-        is_one = (z > 0) & (z < np.inf) & (col >= RIM) & (col < width - RIM)
-        is_one &= (row >= RIM) & (row < high - RIM)
-        pixels[i] = np.int32(row * width + col if is_one else 0)
-    for i in range(pixels.size):
-        depth[pixels[i]] = points[3 * i + 2]
-    depth[0] = np.nan
-    mark_flying(depth, width, share, flying)
-    for i in range(pixels.size):
-        if flying[pixels[i]]:
-            points[3 * i] = points[3 * i + 1] = points[3 * i + 2] = np.nan
+        if 0 < z < np.inf and np.isfinite(x) and np.isfinite(y):
+            col, row = (x / z - across[0]) / across[1], (y / z - down[0]) / down[1]
+            if max(abs(col), abs(row)) <= MOST_PIXELS:
+                pixels[0, many], pixels[1, many], pixels[2, many] = i, np.rint(col), np.rint(row)
+                many += 1
+    return many
