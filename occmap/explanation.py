@@ -541,7 +541,7 @@ def tell_unexplained(explained: str, part: Evidence, uses: Sequence[Use]) -> str
     if missing := [name for name in records.list_logs(*builds) if name not in named]:
         return f"{told}; the rest is in {join_names(missing)}"
     makers = ", ".join(sorted({build["occmap"] for build in builds}))
-    grown = ", the ground grew with a later build" if part.ground else ""
+    grown = ", the ground grew with a later build" if part.ground and len(builds) > 1 else ""
     return (
         f"{told}: a build read one of them twice, evidence was subtracted or moved by `occmap "
         f"merge`{grown}, or the occmap that built it ({makers}) read them differently"

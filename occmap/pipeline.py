@@ -10,7 +10,7 @@ from occmap import writers
 from occmap.cells import Evidence
 from occmap.clouds import FLAT, LOCAL
 from occmap.errors import MapError, name_log
-from occmap.evidence import count_steady, list_contradictions, refuse_other
+from occmap.evidence import UNEVEN_MM, count_steady, list_contradictions, refuse_other
 from occmap.evidence import manifest as manifests
 from occmap.options import BuildOptions
 from occmap.readers import Role
@@ -23,7 +23,7 @@ from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observe, Observed, Progress, ignore_progress
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import Blocks, open_saved, read_all
-from occmap.store.merging import UNEVEN_SHARE, add, join_grounds, refuse_different
+from occmap.store.merging import UNEVEN_SHARE, add, refuse_different
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
 from occmap.writers.atomic import hold_alone
@@ -140,7 +140,7 @@ def choose_keep(
     Raises
     ------
     MapError
-        The file of the ground cannot be read, or has none.
+        The file of the ground cannot be read, has none, or another than the evidence.
     """
     slices = options.min_passes is not None or writers.want_evidence(outputs)
     path = options.clouds.file
@@ -152,8 +152,11 @@ def choose_keep(
         builds = below.manifest.builds
         level = builds[0]["options"]["posing"].get("level") if builds else None
         options = replace(options, posing=replace(options.posing, level=level and tuple(level)))
-    if past and below and below is not past:
-        join_grounds(past.ground, below)  # refuses what is apart
+    if past and past.ground and ground and path is not None:
+        differs = abs(past.ground.measure_rise(ground)) > UNEVEN_MM
+        if differs.sum() > UNEVEN_SHARE * len(differs):
+            found = f"its ground lies elsewhere than that of {past.where}, which goes on by itself"
+            raise MapError(found, where=path, fix="leave out `ground`")
     if options.clouds.ground == FLAT:
         ground = None  # a plane does not go on from it
     return options, Keep(slices, writers.want_journey(outputs), ground)
