@@ -1,6 +1,7 @@
 """`occmap explain` as a user types it."""
 
 import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -21,14 +22,20 @@ def save(log: str, words: str = "", into: str = "") -> None:
     assert occmap("build", *PLAIN_WORDS, *line.split()).code == 0
 
 
-@pytest.fixture(autouse=True)
-def _evidence(here: Path) -> None:
-    """Two logs, evidence of both, and of the first as log-odds, too."""
-    write_csv(here / "a.csv", ACROSS, [0.32])
-    write_csv(here / "b.csv", [(-1.95, -0.55, 0.0)], [0.32])
+@pytest.fixture(scope="module")
+def made(workplace: Path) -> Path:
+    """A folder with two logs, evidence of both, and of the first as log-odds, too."""
+    write_csv(workplace / "a.csv", ACROSS, [0.32])
+    write_csv(workplace / "b.csv", [(-1.95, -0.55, 0.0)], [0.32])
     save("a")
     save("b")
     save("a", "--model quadratic", into="q")
+    return workplace
+
+
+@pytest.fixture(autouse=True)
+def _evidence(made: Path, here: Path) -> None:
+    shutil.copytree(made, here, dirs_exist_ok=True)
 
 
 def test_a_cell_in_lines() -> None:

@@ -1,6 +1,7 @@
 """`occmap render`, `occmap merge` and `occmap build --resume` as a user types them."""
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,13 +12,19 @@ from tests.samples import PLAIN_WORDS, write_csv
 BUILD = " ".join(["build", *PLAIN_WORDS])
 
 
-@pytest.fixture(autouse=True)
-def _evidence(here: Path) -> None:
-    """The evidence of two logs, and of a quadratic build."""
-    write_csv(here / "a.csv", [(0.0, 0.0, 0.0)], [0.3])
-    write_csv(here / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
+@pytest.fixture(scope="module")
+def made(workplace: Path) -> Path:
+    """A folder with the evidence of two logs, and of a quadratic build."""
+    write_csv(workplace / "a.csv", [(0.0, 0.0, 0.0)], [0.3])
+    write_csv(workplace / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
     for line in ("a.csv -o a.npz", "b.csv -o b.npz", "a.csv --model quadratic -o q.npz"):
         assert occmap(f"{BUILD} {line}").code == 0
+    return workplace
+
+
+@pytest.fixture(autouse=True)
+def _evidence(made: Path, here: Path) -> None:
+    shutil.copytree(made, here, dirs_exist_ok=True)
 
 
 def read_bytes(*names: str) -> bytes:

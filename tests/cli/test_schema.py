@@ -2,6 +2,7 @@
 
 import gzip
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from tests.inspection_logs import Drive, write_bag
 from tests.samples import DRIVES, SAMPLE_LOGS, write_csv
 
 
+@cache
 def load(name: str) -> dict[str, Any]:
     schema: dict[str, Any] = occmap("schema", name).json
     return schema
@@ -43,7 +45,7 @@ def walk(schema: Any) -> Iterator[dict[str, Any]]:
 @pytest.fixture(autouse=True, scope="module")
 def _logs(workplace: Path) -> None:
     """Logs that have something to tell, and evidence of two of them."""
-    whole = write_csv(workplace / "a.csv", [(0, 0, 0)] * 3000, [0.3, 0.5, float("nan")], 0.3)
+    whole = write_csv(workplace / "a.csv", [(0, 0, 0)] * 800, [0.3, 0.5, float("nan")], 0.3)
     (workplace / "cut.csv.gz").write_bytes(gzip.compress(whole.read_bytes())[:-1000])
     write_csv(workplace / "b.csv", [(1.0, 0.0, 0.0)] * 9, [0.4, float("inf")], 0.3)
     write_bag(workplace / "room.bag", Drive(3.14159))

@@ -43,7 +43,7 @@ def test_what_is_found_is_said_with_the_line_that_mends_it(
 
 def test_a_gain_can_fail_a_pipeline(late: tuple[Path, Path]) -> None:
     scans, poses = late
-    words = [scans, "--poses", poses, "--resolution", 0.1, "--json", "-q"]
+    words = [scans, "--poses", poses, "--resolution", 0.1, "--end", 20, "--json", "-q"]
     result = occmap("tune", *words, "--fail-if", "gain > 2%", "--fail-if", "share < 10%")
     assert result.code == 3
     assert result.err.startswith("error: gain is ")
@@ -69,7 +69,7 @@ def test_halves_that_disagree_are_told(tmp_path: Path) -> None:
 
 def test_several_logs_have_a_table_of_what_each_gains(late: tuple[Path, Path]) -> None:
     scans, poses = late
-    result = occmap("tune", scans, scans, "--poses", poses, "--resolution", 0.2, "--end", 30)
+    result = occmap("tune", scans, scans, "--poses", poses, "--resolution", 0.2, "--end", 15)
     head, one, other = (line.split() for line in result.out.splitlines()[-5:-2])
     assert head == ["log", "share", "before", "share", "gain", "agreement"]
     assert one == other

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -217,10 +219,17 @@ def find_cells(x: tuple[float, float], y: tuple[float, float]) -> tuple[slice, s
 HALL = SAMPLE_LOGS / "hall.mcap"
 
 
+@cache
+def follow_hall() -> Float64:
+    """The trajectory of the hall's robot: stamp, x, y, z and quaternion (P, 8)."""
+    with TemporaryDirectory() as folder:
+        build([HALL], BuildOptions(), [way := Path(folder) / "way.tum"])
+        return np.loadtxt(way)
+
+
 def write_leaning(path: Path, tilt: Float64) -> Path:
     """Write the trajectory of the hall's robot in a map that is turned as a whole."""
-    build([HALL], BuildOptions(), [path])
-    rows = np.loadtxt(path)
+    rows = follow_hall().copy()
     rows[:, 1:4] = rows[:, 1:4] @ tilt.T
     rows[:, 4:] = to_quaternions(tilt @ rotate_by(rows[:, 4:]))
     np.savetxt(path, rows, fmt="%.9f")

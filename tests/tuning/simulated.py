@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import cycle
 from pathlib import Path
 
@@ -21,6 +22,7 @@ SHAPE: dict[str, float] = {name: getattr(drive.SENSOR, name) for name in NAMES}
 """Of all scans"""
 
 
+@cache
 def read_drive() -> Float64:
     """(S, 4 + B): of each scan its stamp (s), x, y and yaw of the laser, and ranges (m)."""
     return np.loadtxt(SAMPLE_LOGS / "drive.csv", delimiter=",", skiprows=5)
