@@ -54,8 +54,7 @@ WRONG = [
     ("negate", "[1]", "", "negate is \"['1']\", where 0 or 1 belongs"),
     *(
         (name, "*a39", f"a0: &a0 {{x: 1}}\n{unfolding}", "")
-        for unfolding in (UNFOLDING, MERGING)
-        for name in ("origin", "mode", "resolution")
+        for name, unfolding in (("origin", UNFOLDING), ("mode", MERGING), ("resolution", MERGING))
     ),
 ]
 """A value of a YAML, what stands above it, and what is said of it"""

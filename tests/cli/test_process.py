@@ -63,8 +63,7 @@ def test_the_exit_code_is_that_of_the_signal_also_inside_exec(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("name", "jobs", "code"),
-    [("SIGINT", "1", 130), ("SIGINT", "2", 130), ("SIGTERM", "2", 143), ("SIGHUP", "2", 129)],
+    ("name", "jobs", "code"), [("SIGINT", "1", 130), ("SIGTERM", "2", 143), ("SIGHUP", "2", 129)]
 )
 def test_a_signal_leaves_one_line_and_no_file(
     tmp_path: Path, name: str, jobs: str, code: int

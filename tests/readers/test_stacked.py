@@ -88,7 +88,7 @@ def list_scans(changes: Sequence[str], store: Typestore) -> Messages:
 
 @both
 @given(data=st.data())
-@settings(max_examples=150)
+@settings(max_examples=80)
 def test_scans_of_a_run_are_those_read_one_by_one(store: Typestore, data: st.DataObject) -> None:
     written: list[tuple[Any, ...]] = data.draw(st.lists(SCANS, max_size=12))
     topics = ["/front", "/rear"]
@@ -153,7 +153,7 @@ def by_key(items: Iterable[PoseSample | PoseBatch]) -> dict[Key, list[PoseSample
 @both
 @pytest.mark.parametrize("kind", [TF, *ros.POSED])
 @given(data=st.data())
-@settings(max_examples=100)
+@settings(max_examples=50)
 def test_stacked_poses_are_those_read_one_by_one(
     store: Typestore, kind: str, data: st.DataObject
 ) -> None:

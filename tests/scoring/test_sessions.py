@@ -174,8 +174,10 @@ def test_what_lies_elsewhere_is_not_merged_by_guess(tmp_path: Path) -> None:
         lay_on(replace(second, manifest=replace(second.manifest, update="beam")), past)
 
 
-@pytest.mark.parametrize("name", ["freiburg-079-corrected", "fr079-robotlaser"])
-@pytest.mark.parametrize("back", [(1.1, 1.6, 0.3), (-1.5, 0.2, -0.25)])
+@pytest.mark.parametrize(
+    ("name", "back"),
+    [("freiburg-079-corrected", (1.1, 1.6, 0.3)), ("fr079-robotlaser", (-1.5, 0.2, -0.25))],
+)
 def test_halves_of_real_logs_merge_nearly_to_the_whole(
     name: str, back: tuple[float, float, float], tmp_path: Path
 ) -> None:

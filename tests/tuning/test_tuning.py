@@ -48,7 +48,7 @@ def tune_drive(late_s: float = 0.0, mount: Planar = (0.0, 0.0, 0.0), **known: An
     return tune([scans], follow(poses, **known))
 
 
-@pytest.mark.parametrize(("late", "given"), [(0.13, 0.0), (-0.31, 0.0), (0.6, -0.5)])
+@pytest.mark.parametrize(("late", "given"), [(-0.31, 0.0), (0.6, -0.5)])
 def test_a_known_time_offset_is_found_and_added_to_what_is_given(late: float, given: float) -> None:
     tuning = tune_drive(late, time_offset_s=given)
     found = tuning.correction.time_s
@@ -450,7 +450,7 @@ def test_a_time_that_only_the_right_mount_shows_is_told_as_such_and_must_be_sure
 
 
 def test_a_corrected_log_has_nothing_to_gain() -> None:
-    tuning = tune([find_real("carmen/intel-corrected.log.gz")], BuildOptions())
+    tuning = tune([find_real("carmen/intel-corrected.log.gz")], EVERY_THIRD)
     assert tuning.mount.verdict is Verdict.NOTHING
     askew = [
         each.share
