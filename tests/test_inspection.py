@@ -21,11 +21,14 @@ from occmap.inspection.survey import RangeCensus, StampLog, find_crossing, list_
 from occmap.options import BuildOptions, Selection, compose_build
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.posing.tracks import rotate_by
+from occmap.posing.trajectory import FROM_CAMERA
 from occmap.readers import Echo, PluginLog, ReaderOptions
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.mounts import SUSPECT, find_mount, prepare, turn_mount
 from occmap.sensor import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, PosedScans, Scan
+from tests.clouds.simulation import HALL, follow_hall
 from tests.csv_logs import write_poses, write_scans
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, read_line, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
@@ -35,7 +38,6 @@ from tests.readers.ros import ROS1, SECOND, Written
 from tests.samples import PLAIN, SAMPLE_LOGS, copy_mcap, make_batch
 from tests.samples import write_csv as write_row
 
-HALL = SAMPLE_LOGS / "hall.mcap"
 TOPICS, FRAMES = ("/front", "/rear"), ("front", "rear")
 MOUNTED: dict[str, Any] = {"mount": [(0.0, 0.0)]}
 BARE: dict[str, Any] = {"mount": []}
@@ -777,3 +779,18 @@ def test_a_cloud_without_a_mount_gets_one_by_its_floor_to_be_typed(tmp_path: Pat
     x, y, yaw, *tilt = map(float, mount.split(","))
     assert (x, y, yaw, *tilt) == pytest.approx((0, 0, 0, 0, 0)[: 3 + len(tilt)], abs=0.01)
     assert problem == refuse(log)
+
+
+@pytest.mark.parametrize("axes", [FROM_CAMERA, np.eye(3)])
+def test_the_lidar_of_kittis_calibration_is_in_the_line_if_poses_are_of_a_camera(
+    axes: Float64, tmp_path: Path
+) -> None:
+    rows, path = follow_hall(), tmp_path / "poses.txt"
+    place, turns = rows[:, 1:4] @ axes, axes.T @ rotate_by(rows[:, 4:]) @ axes
+    np.savetxt(path, np.dstack([turns, place]).reshape(-1, 12))
+    np.savetxt(tmp_path / "times.txt", rows[:, 0], fmt="%.6f")
+    calibration = "P0: 7e2 0 6e2\nTr: 0 -1 0 -0.01 0 0 -1 -7.0e-02 1 0 0 -0.27\n"
+    (tmp_path / "calib.txt").write_text(calibration)
+    found = look(HALL, BuildOptions(posing=PosingOptions(poses=str(path))))
+    mount = ("--sensor-pose", "-0.27,0.01,0") * (axes is FROM_CAMERA)
+    assert found.command[3:-2] == ("--poses", str(path), *mount)

@@ -306,7 +306,8 @@ def list_cloud_concerns(
     poser, options = drive.poser, drive.options
     yield from poser.suspect_axes(ground)
     for topic, clouds in sorted(some.items()):
-        mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
+        is_known = poser.sources.lidar is not None  # what the floor tells comes after it
+        mount = None if is_known else mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
         wrong = mount and find_misplaced(mount, clouds)
         if mount and ground and not wrong:
             wrong = find_tilted(mount, clouds, ground, options)
@@ -317,7 +318,7 @@ def list_cloud_concerns(
         seen = [(posed, see_around(posed, ground, options)) for posed in clouds]
         if body := find_body(seen, (-math.pi, math.tau / BEARINGS, BEARINGS), OWN_SPREAD_M):
             yield topic, warn_of_body(body)
-        if not wrong:  # which would be a reason for all that follows
+        if not wrong and not is_known:  # which would be a reason for all that follows
             conflicts = [Concern(text) for text in list_conflicts(clouds, ground, options)]
             turned = mount and conflicts and find_turned(mount, clouds, options)
             others = [turned] if turned else conflicts or find_leaning(clouds, ground, options)

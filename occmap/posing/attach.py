@@ -348,8 +348,13 @@ class Poser:
         return [name for (name, _), track in self._list_tracks() if courses.stands(track)]
 
     def suspect_axes(self, ground: Ground | None) -> Iterator[Doubt]:
-        """Say of which clouds z may point down in the poses, by the ground below their sensor."""
+        """Say of which clouds the mount is known beside the poses, or z may point down in these.
+
+        That is told by the ground below their sensor.
+        """
         for laser, track in self._list_tracks():
+            if self.courses[laser].is_of_clouds and self.sources.lidar:
+                yield laser[0], self.sources.lidar
             place, stance = track.position, Stance.measure(track)
             above = np.inf if ground is None else place[:, 2] - ground.find_heights(place)
             is_odd = stance.upside_down and stance.height < 0

@@ -14,11 +14,11 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import MountError, PoseError
-from occmap.posing import PosingOptions, Stamps, frames
+from occmap.posing import Concern, PosingOptions, Stamps, frames
 from occmap.posing.chain import Chain, make_chain
 from occmap.posing.frames import Edge, FrameTree, Source, find_moving, find_strangers, last_part
 from occmap.posing.tracks import Track, TrackBuilder, differ
-from occmap.posing.trajectory import read_trajectory
+from occmap.posing.trajectory import OF_CAMERA, find_lidar, read_trajectory
 from occmap.report import count, join_names
 from occmap.types import Moments, PoseBatch, PoseSample
 from occmap.values import name_origin
@@ -44,6 +44,8 @@ class Sources:
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     """Those of the notes that tell of poses left out, or replaced by later ones"""
+    lidar: Concern | None = None
+    """Where the lidar sits on the camera whose poses were chosen, unless the user says it"""
 
     @cached_property
     def unnamed_body(self) -> Edge | None:
@@ -86,7 +88,7 @@ def gather(
     if not any(edge.child for edge in [*given, *edges]):
         edges = [_name_body(edge) for edge in edges]
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
-    poses, trajectory = _rank(edges), None
+    poses, trajectory, lidar = _rank(edges), None, None
     if options.poses and of_other is not None:
         named = of_other if options.recording else poses
         trajectory = _find_trajectory(options, named, notes, moments)
@@ -94,11 +96,13 @@ def gather(
             frame = options.map_frame or trajectory.parent
             body = trajectory.child if trajectory.child in tree else ""  # it may have another name
             trajectory = replace(trajectory, parent=frame, child=body)
+            if options.sensor_pose is None and any(OF_CAMERA in note for note in notes):
+                lidar = find_lidar(options.files[0])
     placed = {edge.child for edge in edges if edge.source is Source.TF}
     overruled = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
     notes[:0] = [f"the given transform {name} replaces the log's" for name in overruled]
     notes += [*_list_beside(edges, strangers, topics), *_list_contradictions(edges, tree)]
-    return Sources(tree, tuple(poses), trajectory, tuple(notes), doubts)
+    return Sources(tree, tuple(poses), trajectory, tuple(notes), doubts, lidar)
 
 
 def _build_edges(

@@ -16,8 +16,9 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from occmap import values
-from occmap.choices import format_mount
+from occmap.choices import format_mount, mark_options
 from occmap.errors import LogError, refuse_unreadable
+from occmap.posing import Concern
 from occmap.posing.tracks import rotate_by, to_quaternions
 from occmap.report import count
 from occmap.types import Float64, Moments, Pose, PoseBatch
@@ -252,17 +253,12 @@ def _make_poses(path: Path, rows: Float64, notes: list[str]) -> Float64:
     )
     rows[~is_finite] = np.nan
     poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
-    if z <= y:
-        return poses
-    notes += _list_lidars(path)
-    return _turn_from_camera(poses)
+    return poses if z <= y else _turn_from_camera(poses)
 
 
-def _list_lidars(path: Path) -> Iterator[str]:
-    """Say where KITTI's calibration, beside the poses of a camera, has the lidar."""
+def find_lidar(path: Path) -> Concern | None:
+    """Say where KITTI's calibration has the lidar, if it lies beside the poses of a camera."""
     beside = path.parent / CALIBRATION
-    if not beside.is_file():
-        return
     with suppress(LogError, ValueError):  # poses do without
         for found in filter(None, (LIDAR.fullmatch(text) for _, text in _read_rows(beside)[0])):
             with np.errstate(invalid="ignore", over="ignore"):
@@ -270,7 +266,10 @@ def _list_lidars(path: Path) -> Iterator[str]:
                 if not _is_rotation(lidar[:, :3]):
                     continue
             mount = Pose(*lidar[:, 3].tolist(), *to_quaternions(lidar[None, :, :3])[0].tolist())
-            yield f"{beside} has the lidar at `sensor_pose=({format_mount(mount)})` of that camera"
+            remedy = {"sensor_pose": format_mount(mount)}
+            text = f"{beside} has the lidar at {mark_options(remedy)} of that camera"
+            return Concern(text, remedy)
+    return None
 
 
 def _read_times(path: Path) -> list[int]:
