@@ -8,9 +8,9 @@ from typing import Any
 
 from occmap import writers
 from occmap.cells import Evidence
-from occmap.clouds import FLAT, LOCAL
+from occmap.clouds import LOCAL
 from occmap.errors import MapError, name_log
-from occmap.evidence import UNEVEN_MM, count_steady, list_contradictions, refuse_other
+from occmap.evidence import UNEVEN_SHARE, count_steady, list_contradictions, refuse_other
 from occmap.evidence import manifest as manifests
 from occmap.options import BuildOptions
 from occmap.readers import Role
@@ -23,7 +23,7 @@ from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observe, Observed, Progress, ignore_progress
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import Blocks, open_saved, read_all
-from occmap.store.merging import UNEVEN_SHARE, add, refuse_different
+from occmap.store.merging import add, refuse_different
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
 from occmap.writers.atomic import hold_alone
@@ -153,12 +153,9 @@ def choose_keep(
         level = builds[0]["options"]["posing"].get("level") if builds else None
         options = replace(options, posing=replace(options.posing, level=level and tuple(level)))
     if past and past.ground and ground and path is not None:
-        differs = abs(past.ground.measure_rise(ground)) > UNEVEN_MM
-        if differs.sum() > UNEVEN_SHARE * len(differs):
-            found = f"its ground lies elsewhere than that of {past.where}, which goes on by itself"
-            raise MapError(found, where=path, fix="leave out `ground`")
-    if options.clouds.ground == FLAT:
-        ground = None  # a plane does not go on from it
+        fix = f"leave out `ground`: that of {past.where} goes on by itself"
+        with name_log(path):
+            refuse_other(past.ground.measure_rise(ground), UNEVEN_SHARE, None, fix)
     return options, Keep(slices, writers.want_journey(outputs), ground)
 
 
@@ -168,16 +165,12 @@ def add_past(seen: Evidence, past: Evidence | None, options: BuildOptions) -> Ev
     Raises
     ------
     MapError
-        It is evidence of another kind: only the logs say if they hold clouds; or over other ground.
+        It is evidence of another kind: only the logs say if they hold clouds.
     """
     if past is None:
         return seen
     # Unless the user names another one, the ground of the build grew from that of the evidence.
     ground = None if options.clouds.ground in {None, LOCAL} else past.ground
-    if ground and seen.ground and options.clouds.ground == FLAT:
-        rise, fix = ground.measure_rise(seen.ground), "leave out `ground=flat`"
-        with name_log(seen.where):
-            refuse_other(rise, UNEVEN_SHARE, options.posing.transform, fix)
     manifest = replace(past.manifest, model=seen.manifest.model)
     return add(replace(past, manifest=manifest, ground=ground), seen, options.model)
 

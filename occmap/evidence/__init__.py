@@ -18,7 +18,7 @@ from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
-from occmap.types import IDENTITY, Float64, Int32, Int64, Pose, Update
+from occmap.types import Float64, Int32, Int64, Pose, Update
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -346,8 +346,9 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
         )
 
 
-UNEVEN_MM = 50
-"""Columns whose ground differs by more were not traced alike."""
+UNEVEN_MM, UNEVEN_SHARE = 50, 0.05
+"""Columns whose ground differs by more were not traced alike. Noise of poses makes some of them;
+more than this share is a different ground"""
 
 
 def refuse_other(rise: Int32, share: float, placed: Pose | None, otherwise: str) -> None:
@@ -360,9 +361,9 @@ def refuse_other(rise: Int32, share: float, placed: Pose | None, otherwise: str)
     share
         So many of the columns that both measured may differ.
     placed
-        The `transform` of its logs.
+        The `transform` of its logs; None: nobody may move it.
     otherwise
-        What to do where another z does not lay it there.
+        What to do where another z does not lay it there, or not all of it.
 
     Raises
     ------
@@ -377,13 +378,14 @@ def refuse_other(rise: Int32, share: float, placed: Pose | None, otherwise: str)
     if not is_moved and np.count_nonzero(differs) <= share * len(rise):
         return
     told = f"{differs.mean():.0%} of what both measured differs by more than {UNEVEN_MM / 1000:g} m"
-    if not is_moved:
+    if not is_moved or placed is None:
         raise MapError(f"lies over other ground: {told}", fix=otherwise)
     found = f"its ground lies {abs(middle) / 1000:.2f} m {'higher' if middle > 0 else 'lower'}"
-    first = placed or IDENTITY
-    moved = format_place(first._replace(z=first.z - middle / 1000))
+    moved = format_place(placed._replace(z=placed.z - middle / 1000))
+    left = np.mean(np.abs(rise - middle) > UNEVEN_MM)
+    also = f"; {left:.0%} would differ still, so {otherwise}, too" * bool(left > share)
     raise MapError(
         f"{found} than the known one (the median): {told}",
         fix=f"if it is the same floor, build it with `transform=({moved})`, which moves its z, or "
-        "let `fit` find where it lies; another storey is a map of its own",
+        f"let `fit` find where it lies{also}; another storey is a map of its own",
     )

@@ -24,7 +24,7 @@ from occmap.clouds.counting import (
 )
 from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, name_log
-from occmap.evidence import refuse_other
+from occmap.evidence import UNEVEN_SHARE, refuse_other
 from occmap.options import BuildOptions
 from occmap.posing import Drift, measure_drift
 from occmap.posing.attach import place_logs, tilt
@@ -34,7 +34,7 @@ from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int64
+from occmap.types import BLOCK_BITS, COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64
 
 LEAST_LEAN_DEG = 1.0
 """Walls of a map that leans by less are sharp enough."""
@@ -77,6 +77,11 @@ def find_ground(
         Whose poses are taken.
     known
         Ground of evidence that the build is added to; it stays as it is.
+
+    Raises
+    ------
+    MapError
+        There is none, or it lies elsewhere than what is known.
     """
     clouds = sum(count_scans(drive.log, options.selection.topics) for drive in drives)
 
@@ -94,14 +99,17 @@ Count: TypeAlias = Callable[[BuildOptions, Ground | None], Counted]
 
 def settle_ground(count: Count, options: BuildOptions, known: Ground | None) -> BuildGround:
     """Find the ground, and once more by clouds that are laid on it, which poses blur less."""
-    counted = count(options, None)
-    if known is None:
+    counted, is_flat = count(options, None), options.clouds.ground == FLAT
+    if known is None or is_flat:  # a plane does not go on from it
         first = level_ground(count, counted, options)
     else:
         first = extend_ground(counted, options, known)
     if first.ground is known:
         return first
-    if options.clouds.ground == FLAT:
+    if is_flat:
+        if known:
+            rise, fix = known.measure_rise(first.ground), "leave out `ground=flat`"
+            refuse_other(rise, UNEVEN_SHARE, options.posing.transform or IDENTITY, fix)
         _, notes = derive_ground(counted, options.clouds)
         return first._replace(notes=[*notes, *first.notes])
     posing = first.options.posing
@@ -199,12 +207,12 @@ def extend_ground(counted: Counted, options: BuildOptions, known: Ground) -> Bui
         if is_whole and beyond > MOST_BEYOND:
             notes.append(
                 f"{beyond:.0%} of the ground that these clouds show was not measured in "
-                f"{options.clouds.file}: what lies there may be unknown or wrong, and `resume` in "
-                "place of `ground` lets the ground grow"
+                f"{options.clouds.file}: what lies there may be unknown or wrong, and `resume` "
+                "without `ground` lets the ground grow"
             )
         if len(rise) >= LEAST_OVERLAP * min(own.measured.sum(), known.measured.sum()):
             with name_log(join_names(logs)):
-                refuse_other(rise, OTHER_SHARE, options.posing.transform, fix)
+                refuse_other(rise, OTHER_SHARE, options.posing.transform or IDENTITY, fix)
     ground = known if is_whole else derive_ground(counted, options.clouds, known)[0]
     found = keep_drifts(counted, options, ground)
     return found._replace(notes=[*notes, *found.notes])

@@ -14,7 +14,7 @@ import numpy as np
 from occmap.cells import Evidence, Ground, Key, Manifest, Slices, Tile, stack_tiles, view_tiles
 from occmap.choices import format_place, to_rpy
 from occmap.errors import MapError, name_log
-from occmap.evidence import Described, list_misfit, read_model, refuse_other, to_grid
+from occmap.evidence import UNEVEN_SHARE, Described, list_misfit, read_model, refuse_other, to_grid
 from occmap.evidence.manifest import MEANING, leave_out, write_value
 from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
@@ -23,9 +23,6 @@ from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
 from occmap.types import COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64, Pose
-
-UNEVEN_SHARE = 0.05
-"""Noise of poses makes some such columns; more than this share of them is a different ground."""
 
 
 def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
@@ -40,10 +37,10 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     if ground is None or other is None:
         return ground or other
     builds = evidence.manifest.builds
-    placed = builds[-1]["options"]["posing"]["transform"] if builds else None
-    fix = "build it over the ground of the other one: `ground=first.npz`"
+    placed = (builds[-1]["options"]["posing"]["transform"] if builds else None) or IDENTITY
+    fix = "build it over the ground of the other one, `ground=first.npz`"
     with name_log(evidence.where):
-        refuse_other(ground.measure_rise(other), UNEVEN_SHARE, placed and Pose(*placed), fix)
+        refuse_other(ground.measure_rise(other), UNEVEN_SHARE, Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
     mine, its = ground.lay_out(blocks), other.lay_out(blocks)
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
