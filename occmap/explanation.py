@@ -30,7 +30,7 @@ from occmap.sensor import interpret
 from occmap.sensor.models import MODEL, SensorModel, describe_model
 from occmap.store import Blocks, read_part
 from occmap.store.painting import open_map
-from occmap.types import Int64, Pose, PosedScans, PoseSample
+from occmap.types import Int64, Pose, PosedScans, PoseSample, Update
 from occmap.writers import WriteOptions
 
 
@@ -157,7 +157,8 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
         This occmap does not know an option, or a value of it.
     """
     try:
-        values: dict[str, Any] = {}
+        # A drift that was found in clouds is told, and then no other one is looked for.
+        values: dict[str, Any] = {"height_drift": {}} if plain.get("update") == Update.CLOUD else {}
         for name, value in plain.items():
             values |= value if isinstance(value, dict) else {name: value}
         return take(BuildOptions, {name: recall(name, value) for name, value in values.items()})
@@ -359,7 +360,7 @@ def find_sightings(
     for use in uses:
         reading = Reading([use.log], use.options, progress, takes_clouds=True)
         (drive,) = reading.list_drives()
-        drive, look = prepare_look(drive, cell, ground)
+        look = prepare_look(drive, cell, ground)
         spec = plan_grid(drive.options)
         for posed in read_views(drive, reading.tally):
             numbers = look(posed)
@@ -370,12 +371,10 @@ def find_sightings(
     return sorted(sightings, key=lambda each: each.stamp_ns), used
 
 
-def prepare_look(
-    drive: Drive, cell: Cell, ground: Ground | None
-) -> tuple[Drive, Callable[[PosedScans], Int64]]:
+def prepare_look(drive: Drive, cell: Cell, ground: Ground | None) -> Callable[[PosedScans], Int64]:
     """Prepare to say which two numbers (S, 2) each scan of a drive, or each cloud, adds to a cell.
 
-    The drive that is to be read corrects heights as its build did.
+    From here on the drive corrects heights as its build did.
     """
     from occmap.grid.engine import look_at_cell  # noqa: PLC0415  late: it brings numba
     from occmap.scans.levelling import count_ground  # noqa: PLC0415  likewise
@@ -383,11 +382,10 @@ def prepare_look(
     options, row, col = drive.options, cell.lattice_row, cell.lattice_column
     if ground is None:
         spec = plan_grid(options)
-        return drive, lambda posed: look_at_cell(
-            interpret(posed, options.returns)[0], spec, row, col
-        )
-    drifts = count_ground(drive, count_scans(drive.log, drive.topics), None).drifts
-    options = replace(options, posing=replace(options.posing, height_drift=drifts))
+        return lambda posed: look_at_cell(interpret(posed, options.returns)[0], spec, row, col)
+    if options.posing.height_drift is None:  # how large it was is recorded, and no more
+        drifts = count_ground(drive, count_scans(drive.log, drive.topics), None).drifts
+        drive.poser.drift = drifts.get(str(drive.log.path))
     engine = make_engine(options, Keep(ground=ground))
 
     def look(posed: PosedScans) -> Int64:
@@ -397,7 +395,7 @@ def prepare_look(
             sums.append(engine.finish().gather(cell.box, np.int64)[:, 0, 0])
         return np.diff(sums, axis=0)
 
-    return drive.renew(options), look
+    return look
 
 
 @dataclass(frozen=True, kw_only=True)
