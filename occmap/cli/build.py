@@ -81,15 +81,15 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     """
     given, chosen = read_request(words, values)
     console.announce(*list_idle(values))
-    logs, lost = options.gather_logs(console, given, chosen, values["outputs"])
+    logs, notes = options.gather_logs(console, given, chosen, values["outputs"])
     if values["skip_unreadable"]:
         logs, unread = keep_readable(logs, chosen)
         console.announce(*unread)
-        lost += unread
+        notes += unread
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
     report = run_build(console, logs, chosen, values)
-    report = replace(report, notes=(*lost, *report.notes))
+    report = replace(report, notes=(*notes, *report.notes))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.

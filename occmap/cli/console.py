@@ -83,8 +83,8 @@ class Console:
 
         self.answered = True
         if "notes" in value:
-            others = [each for each in value["notes"] if each not in self.announced]
-            value = {**value, "notes": [*self.announced, *others]}
+            told = [each for each in self.announced if each not in value.get("warnings", ())]
+            value["notes"] = list(dict.fromkeys([*told, *value["notes"]]))
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
         text = spell(json.dumps(named, indent=2, allow_nan=False))
         put_on_stdout(text.replace("##", r"\u0023#"))  # equal JSON, but no command to a CI runner

@@ -51,8 +51,8 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
     """
     check_picture(values["output"], logs, [".html"])
     chosen = take(BuildOptions, values)
-    recordings, lost = options.gather_logs(console, logs, chosen)
-    inspection = inspect(recordings, chosen, lost)
+    recordings, notes = options.gather_logs(console, logs, chosen)
+    inspection = inspect(recordings, chosen, notes)
     words, last = inspection.command, 2 + len(recordings)
     if len(recordings) > len(logs) and words[2:last] == tuple(map(str, recordings)):
         line = (*words[:2], *map(str, logs), *words[last:])  # with the folders and patterns given
@@ -126,9 +126,9 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
     """
     chosen = compare.combine(values.pop("update"), values.pop("model"))
     common = take(BuildOptions, values)
-    found, lost = options.gather_logs(console, logs, common)
+    found, notes = options.gather_logs(console, logs, common)
     comparison = compare_logs(found, chosen, common, values["picture"], console.advance)
-    comparison = replace(comparison, notes=(*lost, *comparison.notes))
+    comparison = replace(comparison, notes=(*notes, *comparison.notes))
     return Answer(comparison, format_comparison(comparison))
 
 
@@ -180,9 +180,9 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
       occmap tune drive.bag --fail-if "gain > 2%"
     """
     common = take(BuildOptions, values)
-    found, lost = options.gather_logs(console, logs, common)
+    found, notes = options.gather_logs(console, logs, common)
     tuning = tune(found, common, console.advance)
-    tuning = replace(tuning, notes=(*lost, *tuning.notes))
+    tuning = replace(tuning, notes=(*notes, *tuning.notes))
     return Answer(tuning, format_tuning(tuning))
 
 

@@ -65,12 +65,12 @@ def judge_logs(
     command, differing = ((), ()) if refusal else recommend(logs, options)
     if unseen and FLAGS["no_return"] not in command:
         command = ()  # no known option makes a map of these logs
-    damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
+    of_logs = (f"{log.path}: {text}" for log in logs for text in log.damage)
+    damage = (*of_logs, *filter(is_damage, notes))
     concerns = (concern.text for log in logs for concern in log.concerns)
-    warnings = *damage, *filter(is_damage, notes), *concerns, *differing
-    return Inspection(
-        tuple(logs), found, problems, warnings, command, not problems, notes=tuple(notes)
-    )
+    told = tuple(note for note in notes if note not in damage)
+    warnings = *damage, *concerns, *differing
+    return Inspection(tuple(logs), found, problems, warnings, command, not problems, told, damage)
 
 
 def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:
@@ -301,7 +301,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions, notes: Sequence[str] =
     options
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
     notes
-        Of `find_inputs`; those of damage are warnings, too.
+        Of `find_inputs`; those of damage become warnings.
     """
     return judge_logs([inspect_path(path, options) for path in paths], options, notes)
 

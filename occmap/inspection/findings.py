@@ -9,7 +9,7 @@ from occmap.cells import Box, CellBox
 from occmap.posing import Concern
 from occmap.posing.frames import Source
 from occmap.readers import Role, Stream
-from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count, is_damage
+from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
 from occmap.scans.tally import count_wanted
 
 
@@ -288,11 +288,8 @@ class Inspection(Printed):
     """Whether occmap build with the options given makes a map"""
     notes: tuple[str, ...] = ()
     """Which recordings folders and patterns were found to hold, and what was passed over"""
-
-    @property
-    def damage(self) -> list[str]:
-        """What tells of damage to a log, or of a recording in a folder that nothing can read."""
-        return [*(text for log in self.logs for text in log.damage), *filter(is_damage, self.notes)]
+    damage: tuple[str, ...] = field(default=(), metadata=HIDDEN)
+    """What tells of damage to a log, or of a recording in a folder that nothing can read"""
 
     @property
     def topics(self) -> list[ScanFindings]:
