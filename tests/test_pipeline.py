@@ -16,6 +16,7 @@ import occmap
 from occmap.cells import Decision, OccupancyMap
 from occmap.errors import MapError, OccmapError, PoseError, UsageError
 from occmap.grid.rendering import Framing
+from occmap.inspection import inspect
 from occmap.options import BuildOptions, Selection, choose_model
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
@@ -168,6 +169,7 @@ def test_logs_in_frames_of_different_names_are_noted(tmp_path: Path) -> None:
     (note,) = (it for it in build([first, second], PLAIN).report.notes if "different frames" in it)
     told = f"{first} in odom, {second} in map", "`map_frame`", "`transform`"
     assert all(words in note for words in told)
+    assert inspect([first, second], PLAIN).warnings[-1] == note
     one_frame = replace(PLAIN, posing=PosingOptions(map_frame="odom"))
     for made in (build([first, second], one_frame), build([first, first], PLAIN)):
         assert not [each for each in made.report.notes if "different frames" in each]

@@ -26,7 +26,7 @@ from occmap.options import FLAGS, BuildOptions, compose_build, find_child
 from occmap.posing import Concern, Doubt, DropReason
 from occmap.readers import Role, open_log
 from occmap.report import count, is_damage, write_counts, write_unused
-from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
+from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, doubt_frames, hint_at_tune
 from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, find_better_mount, prepare
@@ -69,7 +69,8 @@ def judge_logs(
     damage = (*of_logs, *filter(is_damage, notes))
     concerns = (concern.text for log in logs for concern in log.concerns)
     told = tuple(note for note in notes if note not in damage)
-    warnings = *damage, *concerns, *differing
+    frames = {log.path: it.poses.chain[0] for log in logs for it in log.scans if it.poses.chain}
+    warnings = *damage, *concerns, *doubt_frames(frames), *differing
     return Inspection(tuple(logs), found, problems, warnings, command, not problems, told, damage)
 
 

@@ -276,11 +276,7 @@ def list_notes(
     if scans.dropped_share > MOST_DROPPED:
         lost = {why: many for why, many in scans.dropped.items() if why not in NO_LOSS}
         yield f"most scans are left out: {write_counts(lost)}; {advise_on_dropped(lost)}"
-    if apart := name_frames(tally):
-        yield (
-            f"{apart}; where these do not lie on each other, choose one with `map_frame`, or "
-            "build each log alone with its own `transform` and merge them"
-        )
+    yield from doubt_frames(tally.frames)
     # Evidence that the logs are added to may have walls; clouds have no beams.
     if not tally.beams.hit and options.update is not Update.CLOUD:
         _, occupied, *_ = facts.counts
@@ -313,10 +309,23 @@ def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
         )
 
 
-def name_frames(tally: Tally) -> str:
-    """Say that logs are mapped in frames of different names, which may lie anywhere; else ""."""
+def doubt_frames(frames: Mapping[str, str | None]) -> Iterator[str]:
+    """Say what to do about logs that are mapped in frames of different names."""
+    if apart := name_frames(frames):
+        fix = "choose one with `map_frame`, or build each log alone with its own `transform`"
+        yield f"{apart}; where these do not lie on each other, {fix} and merge them"
+
+
+def name_frames(frames: Mapping[str, str | None]) -> str:
+    """Say that logs are mapped in frames of different names, which may lie anywhere; else "".
+
+    Parameters
+    ----------
+    frames
+        By log; None where its poses are stated, in no frame.
+    """
     first: dict[str, str] = {}
-    for log, frame in tally.frames.items():
+    for log, frame in frames.items():
         if frame:
             first.setdefault(frame, log)
     named = ", ".join(f"{log} in {frame}" for frame, log in first.items())

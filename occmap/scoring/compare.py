@@ -260,7 +260,7 @@ def compare(
     held_out = hold_out(reading.list_rays(), list(shared.values()), options.jobs)
     tally = reading.tally
     fix = "choose one with `map_frame`, or compare each log by itself"
-    if apart := name_frames(tally):
+    if apart := name_frames(tally.frames):
         raise UsageError(apart, fix=fix)
     refuse_unscored(tally.logs, held_out.scans, has_hits(held_out))
     tally.notes += held_out.list_notes("held-out scans")

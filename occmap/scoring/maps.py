@@ -230,7 +230,7 @@ def score_by_logs(
     for rays in reading.list_rays():
         sample.add(rays)
     tally = reading.tally
-    tally.notes += [*sample.list_notes(), *filter(None, [name_frames(tally)])]
+    tally.notes += [*sample.list_notes(), *filter(None, [name_frames(tally.frames)])]
     hits = list_hits(sample.parts)
     if not len(hits):
         where = ", ".join(tally.logs)
