@@ -5,7 +5,7 @@ import math
 import re
 from collections import Counter
 from dataclasses import replace
-from itertools import product
+from itertools import cycle, product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -333,6 +333,18 @@ def test_millimetres_are_told_by_check_and_by_a_build_that_fails_or_does_not(
     for found in texts:
         whole = " ".join(found)
         assert {words: words in whole for words in expected} == expected
+
+
+@pytest.mark.parametrize(("lost", "is_told"), [((0,), True), ((0, 2), False)])
+def test_ranges_that_a_filter_thinned_are_told(
+    lost: tuple[int, ...], is_told: bool, tmp_path: Path
+) -> None:
+    """Some lasers measure more beams or fewer from scan to scan, and state the same angles."""
+    more = cycle(lost)
+    thinned = Drive(spoil=lambda measured: measured[next(more) :: 2])
+    found = look(write_bag(tmp_path / "thin.bag", thinned, [(0.0, 0.0)]))
+    assert any("if a filter thinned them" in text for text in found.warnings) == is_told
+    assert not (is_told and found.command)
 
 
 def test_millimetres_are_told_where_the_limit_is_in_metres(tmp_path: Path) -> None:
