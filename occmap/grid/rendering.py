@@ -56,7 +56,7 @@ def find_bounds(tiles: TileGrid) -> CellBox:
 def refuse_nothing_left(min_passes: int | None) -> NoReturn:
     """Say that no cell was observed, or that none lasts; raises MapError."""
     if min_passes is None:
-        raise MapError("no beam of any scan observed a cell, so there is no map")
+        raise MapError("no observation is left, as where all were subtracted: there is no map")
     found = f"no cell was hit on {min_passes} visits, and none was seen free: there is no map"
     raise MapError(found, fix="give a smaller `min_passes`")
 

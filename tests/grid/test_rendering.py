@@ -66,7 +66,7 @@ def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, u
 
 def test_nothing_observed_has_no_bounds_whatever_is_spread() -> None:
     for nothing in (make_grid(), SpreadHits(make_grid(), 0.1)):
-        with pytest.raises(MapError, match="no beam of any scan observed a cell"):
+        with pytest.raises(MapError, match="no observation is left"):
             find_bounds(nothing)
 
 

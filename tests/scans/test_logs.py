@@ -1,5 +1,6 @@
 """A folder or a pattern stands for the recordings in it, in the order of their time."""
 
+import gzip
 import shutil
 from pathlib import Path
 
@@ -37,6 +38,8 @@ def test_a_pattern_is_what_it_matches(day: Path) -> None:
     pattern = day / "[ab].csv"
     note = f"{pattern}: 2 recordings, in the order of their time: a.csv, b.csv"
     assert find(pattern) == (["a.csv", "b.csv"], [note])
+    (day / "b.csv.gz").write_bytes(gzip.compress((day / "b.csv").read_bytes()))
+    assert find(day)[1][1].startswith(f"{day}: b.csv.gz: what is packed lies beside it")
 
 
 def test_what_else_the_user_names_is_no_recording(day: Path) -> None:
