@@ -358,7 +358,7 @@ def find_sightings(
     sightings: list[Sighting] = []
     used = 0
     for use in uses:
-        reading = Reading([use.log], use.options, progress, takes_clouds=True)
+        reading = Reading([use.log], use.options, progress)
         (drive,) = reading.list_drives()
         look = prepare_look(drive, cell, ground)
         spec = plan_grid(drive.options)

@@ -100,24 +100,6 @@ def suit_kinds(kinds: Mapping[Role, str], options: BuildOptions) -> BuildOptions
     return replace(options, update=Update.CLOUD, model=model)
 
 
-def open_scans(
-    paths: Sequence[Path], options: BuildOptions, *, takes_clouds: bool = False
-) -> list[Log]:
-    """Open logs whose beams are to be asked what they meet.
-
-    Raises
-    ------
-    OccmapError
-        A log cannot be read, or holds clouds of points, which have no beams.
-    """
-    logs = [open_log(path, options.reading) for path in paths]
-    of_clouds = [log for log in logs if settle_update([log], options).update is Update.CLOUD]
-    for log in of_clouds if not takes_clouds else ():
-        found = "holds clouds of points, and maps are scored by the beams of laser scans"
-        raise UsageError(found, where=log.path, fix="give a log of scans, or choose with `topics`")
-    return logs
-
-
 def count_scans(log: Log, wanted: Sequence[str]) -> int:
     """Count the scans that will be read.
 

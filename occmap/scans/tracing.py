@@ -11,7 +11,7 @@ import numpy as np
 
 from occmap.cells import Evidence, Slices
 from occmap.clouds import draw
-from occmap.errors import MapError, name_log
+from occmap.errors import MapError, UsageError, name_log
 from occmap.evidence import list_misfit, make_empty
 from occmap.evidence.manifest import plan_manifest
 from occmap.grid import Lattice
@@ -21,7 +21,7 @@ from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.report import join_names
 from occmap.scans import Keep, make_engine
-from occmap.scans.logs import count_scans, open_scans, settle_update
+from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive, write_doubts
 from occmap.scans.tally import LeftOut, Tally, refuse_unused
@@ -170,18 +170,13 @@ class Reading:
     Raises
     ------
     OccmapError
-        As `open_scans` and `open_drive`.
+        A log cannot be read, or as `settle_update` and `open_drive`.
     """
 
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        options: BuildOptions,
-        progress: Progress,
-        *,
-        takes_clouds: bool = False,
-    ) -> None:
-        self.options, logs = options, open_scans(paths, options, takes_clouds=takes_clouds)
+    def __init__(self, paths: Sequence[Path], options: BuildOptions, progress: Progress) -> None:
+        self.options, logs = options, [open_log(path, options.reading) for path in paths]
+        updates = (settle_update([log], options).update for log in logs)
+        self._of_clouds = dict(zip(updates, logs, strict=True)).get(Update.CLOUD)
         self.total = sum(count_scans(log, options.selection.topics) for log in logs)
         """Of what progress is told; more may be added to it"""
         names = [str(log.path) for log in logs]
@@ -201,12 +196,16 @@ class Reading:
         Raises
         ------
         OccmapError
-            As a build, also where no scan can be used.
+            As a build, also where no scan can be used, or a log holds clouds: these have no beams.
         """
+        if self._of_clouds:
+            found = "holds clouds of points, and maps are scored by the beams of laser scans"
+            fix = "give a log of scans, or choose with `topics`"
+            raise UsageError(found, where=self._of_clouds.path, fix=fix)
         for drive in self.list_drives():
             with name_log(drive.log.path):
                 for seen in read_seen(drive, self.tally):
-                    assert isinstance(seen, Rays)  # `open_scans` refuses clouds
+                    assert isinstance(seen, Rays)
                     yield seen
         refuse_unused(self.tally)
 

@@ -109,7 +109,7 @@ def tune(
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    reading = Reading(paths, options, progress, takes_clouds=True)
+    reading = Reading(paths, options, progress)
     logs, tally = search.keep_logs(reading), reading.tally
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_common_mount(logs), lambda: tally.advance(kept))
