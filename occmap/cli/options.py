@@ -23,7 +23,7 @@ from occmap.errors import OccmapError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
 from occmap.plugins import list_plugins
-from occmap.report import Row, label_first
+from occmap.report import Row, is_damage, label_first
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.scans.logs import Inputs, find_inputs, keep_stdin
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
@@ -164,6 +164,8 @@ def gather_logs(
 ) -> Inputs:
     """Find the recordings that the user means, and say what a folder holds of them.
 
+    The notes that are given back are those of damage: no other one counts for `limits`.
+
     Raises
     ------
     LogError
@@ -173,7 +175,7 @@ def gather_logs(
     others = [*outputs, *options.posing.files]
     recordings, notes = find_inputs(given, options.reading, others)
     console.announce(*notes)
-    return recordings, notes
+    return recordings, list(filter(is_damage, notes))
 
 
 def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tuple[Path, ...]:

@@ -193,10 +193,6 @@ class PosingOptions:
             is_place = all(abs(value) <= MAX_PLACE_M for value in pose) and any(pose[3:])
             require(is_place, f"nothing can be at {pose[:3]}", "give metres and radians")
 
-    def find_drift(self, log: Path) -> Drift | None:
-        """By what the heights of a log are corrected; None: by nothing."""
-        return (self.height_drift or {}).get(str(log))
-
     @property
     def recording(self) -> tuple[Path, str] | None:
         """The other recording that `poses` names, and the topic in it; "" where it names none."""

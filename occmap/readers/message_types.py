@@ -138,10 +138,9 @@ def convert_multi_echo(echo: Echo, message: Any, topic: str, record_ns: int) -> 
 def _make_scan(message: Any, ranges: Any, topic: str, record_ns: int) -> Scan:
     angles = get(message, "angle_min"), get(message, "angle_increment")
     limits = get(message, "range_min"), get(message, "range_max")
-    increment, last = get(message, "time_increment"), look(message, "angle_max")
+    step, last = get(message, "time_increment"), look(message, "angle_max")
     last = last if isinstance(last, float) else 0.0
-    header = get_header(message)
-    return Scan(*header, *angles, ranges, *limits, increment, None, topic, last, record_ns)
+    return Scan(*get_header(message), *angles, ranges, *limits, step, None, topic, last, record_ns)
 
 
 def convert_foxglove_scan(message: Any, topic: str, record_ns: int) -> Scan:

@@ -231,8 +231,7 @@ class Noted(Printed):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "notes", fold_notes(self.notes))
-        found = tuple(note for note in self.notes if is_damage(note))
-        object.__setattr__(self, "damage", found)
+        object.__setattr__(self, "damage", tuple(filter(is_damage, self.notes)))
 
     @property
     def other_notes(self) -> list[str]:

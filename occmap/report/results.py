@@ -173,12 +173,6 @@ class Build(NamedTuple):
     """What the map was made of; it has slices of time only where an output or an option needs it"""
 
 
-def measure_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
-    """Measure a map, as it is written."""
-    counts = count_cells(grid, writing)
-    return MapFacts(grid.resolution, grid.extent, grid.shape, counts, grid.agreement)
-
-
 def count_cells(grid: OccupancyMap, writing: WriteOptions) -> Int64:
     """(4,) cells that are observed; that are occupied, and free, as they are written; and walls.
 

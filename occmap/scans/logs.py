@@ -47,8 +47,7 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
         found = f"holds no laser scans and no clouds; it holds {held or 'nothing'}"
         raise LogError(found, where=log.path, fix=str(notes[0]) if notes else "")
     asked = set(wanted)
-    missing = sorted(asked - set(there))
-    if missing:
+    if missing := sorted(asked - set(there)):
         found = f"has no scans on the topic {missing[0]}"
         raise LogError(found, where=log.path, fix=f"it has scans on {', '.join(there)}")
     return [topic for topic in there if topic in asked or not asked]

@@ -231,7 +231,7 @@ class Drive:
 
     def __init__(self, log: Log, poser: Poser, options: BuildOptions) -> None:
         self.log, self.poser, self.options = log, poser, options
-        poser.drift = options.posing.find_drift(log.path)
+        poser.drift = (options.posing.height_drift or {}).get(str(log.path))
         self.topics = choose_topics(log, options.selection.topics)
         self.limits = RangeLimits(options.returns)
         self.is_settled = False

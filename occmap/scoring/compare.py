@@ -139,9 +139,8 @@ class ScoredVariant:
     def compare_with(self, best: Self) -> Self:
         """Measure how far the share is behind the best one."""
         behind = Gain.measure(self.trial.predicted, best.trial.predicted)
-        return replace(
-            self, behind=behind.gain, behind_error=behind.gain_error, as_good=not behind.certain
-        )
+        error, as_good = behind.gain_error, not behind.certain
+        return replace(self, behind=behind.gain, behind_error=error, as_good=as_good)
 
 
 def score_variants(

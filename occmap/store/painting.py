@@ -22,7 +22,7 @@ from occmap.grid import Lattice, rendering
 from occmap.grid.rendering import Framing, choose_box, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.report import results
-from occmap.report.results import MapFacts, Report
+from occmap.report.results import MapFacts, Report, count_cells
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
@@ -246,7 +246,7 @@ def survey_blocks(made: BlockMap) -> MapFacts:
     """
     cells, found = np.zeros(4, np.int64), np.zeros(4, np.int64)
     for _, piece, of_piece in made.list_pieces(made.box):
-        cells += results.count_cells(piece, made.options.writing)
+        cells += count_cells(piece, made.options.writing)
         found += of_piece
     return MapFacts(made.resolution, made.extent, made.shape, cells, *evidence.sum_up(found))
 
@@ -339,7 +339,8 @@ def paint_saved(
             facts = survey_blocks(made)
             return made, facts._replace(lost=[*notes, *facts.lost])
         shown, lost = made.paint_all()
-    return shown, results.measure_map(shown, options.writing)._replace(lost=[*notes, *lost])
+    counted = shown.resolution, shown.extent, shown.shape, count_cells(shown, options.writing)
+    return shown, MapFacts(*counted, shown.agreement, [*notes, *lost])
 
 
 def read_overview(store: Blocks, side: int, options: RenderOptions) -> OccupancyMap:
