@@ -62,7 +62,9 @@ def build(
         refuse_unseen(tally, evidence.tiles)
 
         with tally.time("render"):
-            grid, facts = paint_seen(paths, evidence, options, writers.want_whole(outputs))
+            how = options.writing, options.max_cells, options.framing, options.min_passes
+            given = options.model, RenderOptions(None, *how), writers.want_whole(outputs)
+            grid, facts = paint_saved(Blocks.of(evidence), *given, [path.name for path in paths])
         with tally.time("write"):  # to hash the logs takes time
             # Notes compare logs that may be one with another, and builds.
             is_compared = past or len(set(map(manifests.measure_files, paths))) < len(paths)
@@ -173,15 +175,6 @@ def add_past(seen: Evidence, past: Evidence | None, options: BuildOptions) -> Ev
     ground = None if options.clouds.ground in {None, LOCAL} else past.ground
     manifest = replace(past.manifest, model=seen.manifest.model)
     return add(replace(past, manifest=manifest, ground=ground), seen, options.model)
-
-
-def paint_seen(
-    paths: Sequence[Path], seen: Evidence, options: BuildOptions, is_whole: bool
-) -> tuple[Any, MapFacts]:
-    """Render what was observed, as `paint_saved` does."""
-    how = options.writing, options.max_cells, options.framing, options.min_passes
-    named = [path.name for path in paths]
-    return paint_saved(Blocks.of(seen), options.model, RenderOptions(None, *how), is_whole, named)
 
 
 def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:

@@ -171,9 +171,7 @@ def test_a_band_below_the_limit_is_no_return_without_a_flag(tmp_path: Path) -> N
     assert share in note
     assert "--range-max" not in found.command
     assert told.command[3:5] == ("--range-max", "25.6")
-    assert found.map is not None
-    assert told.map is not None
-    assert found.map.extent == told.map.extent
+    assert found.map == told.map is not None
     assert topic(found).ranges.measured == SCANS * (BEAMS - 10)
 
 
@@ -228,16 +226,13 @@ def test_a_beam_that_grazes_a_wall_does_not_lead_through_it(
     assert found.tolist() == [crosses]
 
 
-@pytest.mark.parametrize(("turn", "mount"), [(math.pi, BARE), (0.3, MOUNTED)])
-def test_logs_that_need_different_options_get_no_line(
-    tmp_path: Path, turn: float, mount: dict[str, Any]
-) -> None:
+def test_logs_that_need_different_options_get_no_line(tmp_path: Path) -> None:
     """One needs a mount, or `occmap tune`, and the other one nothing."""
     right = write_bag(tmp_path / "right.bag", Drive(), **MOUNTED)
-    other = write_bag(tmp_path / "other.bag", Drive(turn), **mount)
-    seen = inspect([right, other], BuildOptions())
-    assert not seen.command
-    assert "one by one" in seen.warnings[-1]
+    for turn, mount in ((math.pi, BARE), (0.3, MOUNTED)):
+        other = write_bag(tmp_path / f"{turn}.bag", Drive(turn), **mount)
+        seen = inspect([right, other], BuildOptions())
+        assert (seen.command, "one by one" in seen.warnings[-1]) == ((), True)
 
 
 @pytest.mark.parametrize(("roll", "tilt"), [(math.pi, 0.0), (0.2, 0.2)])
@@ -471,8 +466,7 @@ def test_a_few_hits_are_no_reason_to_name_a_mount(tmp_path: Path) -> None:
     path = tmp_path / "few.csv"
     write_row(path, [(-5.0, 0.0, 0.0), *places], [0.3, 0.4, 0.5], 0.1)
     report = build([path], BuildOptions()).report
-    assert report.map.agreement is not None
-    assert report.map.agreement < SUSPECT
+    assert (report.map.agreement or 1) < SUSPECT
     assert report.notes == ()
 
 
@@ -481,8 +475,7 @@ def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_pa
     two = Drive(spoil=lambda ranges: np.roll(ranges[::-1], 1) if next(counter) % 2 else ranges)
     path = write_bag(tmp_path / "room.bag", two, **MOUNTED, topics=TOPICS, frames=FRAMES)
     report = build([path], BuildOptions()).report
-    assert report.map.agreement is not None
-    assert report.map.agreement > LEAST_AGREEMENT
+    assert (report.map.agreement or 0) > LEAST_AGREEMENT
     (note,) = report.notes
     mount = "`static_transforms=(base_link,rear,0,0,0,3.14159,0,0)`"
     assert note == f"{path}: /rear: the scans would fit each other better with {mount}"
@@ -525,13 +518,10 @@ def test_lasers_with_frames_of_their_own_are_not_put_at_one_place(
     assert told.startswith(f"{path}: `sensor_pose` would put 2 lasers at one place: front, rear; ")
     assert "`topics=/front`" in told
     assert "`static_transforms=BASE,front,X,Y,Z,ROLL,PITCH,YAW`" in told
+    needed = "`static_transforms=base_link,front,X,Y,Z,ROLL,PITCH,YAW`"
+    assert mount == MOUNTED or needed in refuse(path)
     one = BuildOptions(posing=posing, selection=Selection(topics=("/front",)))
     assert build([path], one).report.scans.used == SCANS / 2
-
-
-def test_two_lasers_without_a_mount_are_to_be_given_one_each(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "two.bag", Drive(), topics=TOPICS, frames=FRAMES)
-    assert "`static_transforms=base_link,front,X,Y,Z,ROLL,PITCH,YAW`" in refuse(path)
 
 
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 2])

@@ -236,8 +236,7 @@ def find_inputs(
         notes.append(describe_found(path, kept, len(entries) - len(kept) - len(lost)))
         packed = (each for each in kept if each.suffix.lower() == ".gz")  # such text is read, too
         if twins := [each.name for each in packed if each.with_suffix("") in kept]:
-            found = "what is packed lies beside it, as its name says, and both count: remove one"
-            notes.append(f"{path}: {join_names(twins)}: {found}")
+            notes.append(f"{path}: {join_names(twins)}: lies there unpacked, too: both count")
         for each in lost:
             try:
                 open_log(each, options)

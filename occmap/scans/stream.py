@@ -192,8 +192,7 @@ def find_end(batch: ScanBatch) -> str:
     angles = step, start, last, stated, (stated - start) / (beams - 1)
     every, first, end, told, fitting = (f"{math.degrees(each):.4g} deg" for each in angles)
     found = f"{beams} beams every {every} from {first} end at {end}, and angle_max says {told}"
-    why = f"if a filter thinned them, walls are bent, and {fitting} would be right"
-    return f"{found}: {why}; map what it filters"
+    return f"{found}: if a filter thinned them ({fitting} would be right), map what it filters"
 
 
 FAR_M = 200.0

@@ -406,9 +406,7 @@ def test_options_come_back(options: BuildOptions) -> None:
 
 def test_every_choice_comes_back() -> None:
     for update, stamps, deskew, no_return in product(Update, Stamps, Deskew, NoReturn):
-        # Of clouds none was found where none is recorded.
-        drift = None if update is not Update.CLOUD else dict[str, Any]()
-        posing = PosingOptions(stamps=stamps, deskew=deskew, height_drift=drift)
+        posing = PosingOptions(stamps=stamps, deskew=deskew, height_drift={})
         returns = ReturnOptions(no_return=no_return)
         options = BuildOptions(update=update, posing=posing, returns=returns)
         again = recall_options(write_down(options), "m.npz")

@@ -39,7 +39,7 @@ def test_a_pattern_is_what_it_matches(day: Path) -> None:
     note = f"{pattern}: 2 recordings, in the order of their time: a.csv, b.csv"
     assert find(pattern) == (["a.csv", "b.csv"], [note])
     (day / "b.csv.gz").write_bytes(gzip.compress((day / "b.csv").read_bytes()))
-    assert find(day)[1][1].startswith(f"{day}: b.csv.gz: what is packed lies beside it")
+    assert find(day)[1][1].startswith(f"{day}: b.csv.gz: lies there unpacked, too")
 
 
 def test_what_else_the_user_names_is_no_recording(day: Path) -> None:

@@ -50,9 +50,6 @@ def test_a_run_is_a_batch_as_it_is() -> None:
     assert (batch.frame, batch.angle_min, batch.angle_increment) == ("laser", -1.0, 0.5)
     assert (batch.range_min, batch.range_max, batch.topic) == (0.1, 30.0, "/scan")
     assert batch.pose is None
-
-
-def test_a_run_is_stamped_by_record_time_where_that_counts() -> None:
     (batch,) = stack([RUN], Stamps.RECORD)
     assert (batch.stamp_ns - RUN.stamp_ns).tolist() == [7] * 5
 
@@ -159,13 +156,12 @@ def test_beams_at_the_end_that_are_empty_do_not_go_round(beams: int, is_odd: boo
 
 def test_beams_that_end_elsewhere_than_stated_are_told() -> None:
     """They are a degree apart, from -180 on, so that 180 of them end at -1."""
-    step = math.radians(1)
-    fine = [(180, -1), (180, 0), (180, -180), (180, math.nan), (180, math.inf), (15, 90)]
-    fine += [(360, 180), (360, -181), (360, 177)]
+    fine = [(180, end) for end in (-1, 0, -180, math.nan, math.inf)]
+    fine += [(15, 90), (360, 180), (360, -181), (360, 177)]
     odd = [(180, 180, "2.011 deg"), (180, 90, "1.508 deg"), (180, -4, "0.9832 deg")]
     for beams, end, right in [*((*each, "") for each in fine), *odd]:
-        batch = replace(make_batch(np.ones((1, beams))), angle_min=-math.pi, angle_increment=step)
-        told = find_end(replace(batch, angle_max=math.radians(end)))
+        turn = {"angle_min": -math.pi, "angle_increment": math.radians(1)}
+        told = find_end(make_batch(np.ones((1, beams)), **turn, angle_max=math.radians(end)))
         assert (right in told, bool(right)) == (True, bool(told))
 
 
