@@ -176,7 +176,7 @@ def test_what_a_folder_holds_is_noted(name: str, tmp_path: Path, halves: Path) -
     given = {"logs": tmp_path} if name == "score" else {}
     path = halves / "whole.pgm" if given else tmp_path
     found = getattr(occmap, name)(path, stride=4, **given)
-    first, second, *_ = getattr(found, "report", found).notes
+    first, second, *_ = getattr(found, "report", found).notes + getattr(found, "warnings", ())
     assert first == f"{tmp_path}: 1 recording: drive.csv"
     assert second.startswith(f"{tmp_path / 'broken.bag'}: passed over, though named like a rec")
 
