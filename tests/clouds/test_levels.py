@@ -314,14 +314,6 @@ def test_a_sensor_that_is_lifted_and_heights_that_are_to_stay_are_left(
     assert built.evidence.manifest.builds[0]["options"]["posing"]["height_drift"] == {}
 
 
-def test_threads_correct_what_one_does(tmp_path: Path) -> None:
-    options = write_tour(tmp_path / "tour", drift_m=0.3)
-    made = [tmp_path / f"{jobs}.npz" for jobs in (1, 2)]
-    for jobs, path in enumerate(made, 1):
-        build([tmp_path / "tour"], replace(options, jobs=jobs), [path])
-    assert made[0].read_bytes() == made[1].read_bytes()
-
-
 def test_a_later_part_goes_on_over_the_ground_of_an_earlier_one(tmp_path: Path) -> None:
     """Each part begins where it is: the second one has drifted by half of it all by then."""
     tour, made = tmp_path / "tour", [tmp_path / name for name in ("1.npz", "both.npz", "2.npz")]

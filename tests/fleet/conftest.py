@@ -29,7 +29,7 @@ def address(clusters: list[LocalCluster]) -> str:
     if not clusters:
         # A task may kill one worker, not three: each takes seconds to start anew.
         with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
-            made = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+            made = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0")
         clusters.append(made)
     return str(clusters[-1].scheduler_address)
 

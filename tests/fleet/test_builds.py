@@ -89,7 +89,7 @@ def test_a_worker_of_its_own_makes_the_same(
 def test_clouds_of_several_logs_are_traced_over_one_ground(
     address: str, tmp_path: Path, corrected: str
 ) -> None:
-    """As their poses are, where these lean, and where they drift."""
+    """By threads, too: as their poses are, where these lean, and where they drift."""
     logs, options = [HALL] * 2, BuildOptions(jobs=1)
     if corrected == "level":
         poses = write_leaning(tmp_path / "leaning.tum", turn(4, -6, 0))
@@ -97,11 +97,12 @@ def test_clouds_of_several_logs_are_traced_over_one_ground(
     elif corrected:
         logs = [tmp_path / "tour"]
         options = write_tour(logs[0], drift_m=0.3)
-    files = [tmp_path / name for name in ("alone.npz", "fleet.npz")]
+    files = [tmp_path / name for name in ("alone.npz", "threads.npz", "fleet.npz")]
     alone = build(logs, options, files[:1]).report
+    build(logs, replace(options, jobs=2), files[1:2])
     fleet = Fleet(address, tmp_path / "scratch")
-    report = build(logs, options, files[1:], observe=fleet.observe).report
-    assert files[0].read_bytes() == files[1].read_bytes()
+    report = build(logs, options, files[2:], observe=fleet.observe).report
+    assert len({file.read_bytes() for file in files}) == 1
     assert sorted(report.notes) == sorted(alone.notes)
     for option in ("level", "height_drift"):
         assert any(f"`{option}=" in note for note in alone.notes) == (option == corrected)
