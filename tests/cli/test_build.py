@@ -185,9 +185,9 @@ def test_logs_that_cannot_be_read_are_left_out_as_damage(here: Path, workers: li
     (here / "rnd.bag").write_bytes(b"nothing")
     (here / "cut.mcap").write_bytes((SAMPLE_LOGS / "drive.mcap").read_bytes()[:60])
     (here / "no_poses.csv").write_text("stamp,angle_min,angle_increment,r0\n1,0,0,2\n")
-    line = ["build", "rnd.bag", DRIVE, "cut.mcap", "no_poses.csv", "-o", "m.pgm", *workers]
+    line = ["build", "rnd.bag", DRIVE, "cut.mcap", "no_poses.csv", "-o", "m.pgm"]
     assert read_error(occmap(*line, "-q"), 1).startswith("rnd.bag: ")
-    told = ask(*line, "--skip-unreadable", "--fail-if", "damage > 3")
+    told = ask(*line, *workers, "--skip-unreadable", "--fail-if", "damage > 3")
     assert told["logs"] == [str(DRIVE)]
     assert told["scans"]["used"] == 414
     first, second, third = told["damage"]

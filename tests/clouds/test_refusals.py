@@ -56,7 +56,7 @@ def test_a_map_that_is_too_large_is_refused_before_room_is_made_for_it() -> None
     clouds = drive(Room(), clouds=4)
     ground = find_ground(clouds)
     band = make_band(CloudOptions(), ReturnOptions())
-    engine = CloudEngine(Lattice(1e-5), band, ground)
+    engine = CloudEngine(Lattice(1e-4), band, ground)
     with pytest.raises(MapError, match="`max_cells=1000000000`"):
         engine.add(clouds[0])
     assert engine.bytes_held == 0

@@ -45,9 +45,10 @@ def read_cells(grid: TileGrid) -> Evidence:
     evidence = Evidence(Counter(), Counter())
     for (tile_row, tile_col), tile in grid.tiles.items():
         for layer, sums in zip(tile, evidence, strict=True):
-            for row, col in np.argwhere(layer).tolist():
-                cell = (tile_row * TILE + row, tile_col * TILE + col)
-                sums[cell] = int(layer[row, col])
+            rows, cols = np.nonzero(layer)
+            places = np.stack([tile_row * TILE + rows, tile_col * TILE + cols], axis=1).tolist()
+            cells = zip(map(tuple, places), layer[rows, cols].tolist(), strict=True)
+            dict.update(sums, cells)  # a Counter's own would count pairs
     return evidence
 
 

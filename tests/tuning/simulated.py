@@ -31,7 +31,7 @@ def read_drive() -> Float64:
 def write_drive(
     folder: Path, delay: Callable[[int], float] = lambda _: 0.0, mount: Planar = NOWHERE
 ) -> tuple[Path, Path]:
-    """Write scans without poses, each stamped too late by a delay (s), and a file of poses.
+    """Write every second scan without its pose, stamped too late by a delay (s), and all poses.
 
     These are of the robot, whose laser sits at a mount on it.
     """
@@ -39,7 +39,7 @@ def write_drive(
     stamps, back = rows[:, 0] - 1.7e9, drive.invert(drive.Planar(*mount))
     robot = [drive.compose(drive.Planar(*laser), back) for laser in rows[:, 1:4]]
     late = stamps + [delay(number) for number in range(len(rows))]
-    scans = write_scans(folder / "scans.csv", late, rows[:, 4:], **SHAPE)
+    scans = write_scans(folder / "scans.csv", late[::2], rows[::2, 4:], **SHAPE)
     return scans, write_poses(folder / "poses.csv", stamps, robot)
 
 
