@@ -30,8 +30,7 @@ test: $(STAMP) ## Check style and types, and run all tests
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --quiet --check .
 	@$(BIN)/python -m occmap.cli.warm & $(BIN)/mypy && wait $$!
-	@$(BIN)/pytest -q -n 2 --dist worksteal --assert=plain || { \
-		$(BIN)/pytest -q --last-failed --last-failed-no-failures none; exit 1; }
+	@$(BIN)/pytest -q -n 2 --dist worksteal
 
 bench: $(STAMP) ## Measure how fast maps are built
 	@$(BIN)/python -m tests.bench
