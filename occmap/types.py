@@ -169,8 +169,8 @@ class Cloud(NamedTuple):
     record_ns: int = 0
     times: str = ""
     """How the times of points were read; empty where they have none"""
-    may_fly: bool = False
-    """Whether a depth camera may have made some at edges, in the air, that are still to go"""
+    is_image: bool | None = False
+    """Whether they are pixels of a depth camera, cleaned; None: this is to be found out"""
 
     @property
     def time_increment(self) -> float:

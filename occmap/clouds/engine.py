@@ -14,7 +14,7 @@ from occmap.clouds.kernels.laying import SHORTEST_M, Columns, lay_cloud, lay_col
 from occmap.clouds.kernels.tracing import COUNTS, NOBODY_LOOKED, Band, Canvas
 from occmap.grid import Lattice, refuse_long
 from occmap.grid.engine import Engine
-from occmap.grid.kernels.units import NEAR_WEIGHT
+from occmap.grid.kernels import NEAR_WEIGHT
 from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_large
 from occmap.sensor import ReturnOptions
 from occmap.types import COLUMN_MM, Int32, Int64, PosedScans

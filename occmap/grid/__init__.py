@@ -12,7 +12,7 @@ import numpy as np
 
 from occmap.cells import Box, CellBox
 from occmap.errors import MapError, require
-from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
+from occmap.grid.kernels import CELL_SHIFT, UNITS_PER_CELL
 from occmap.types import Float64, Int64
 
 MOST_CELLS_OF_BEAM = 1 << 22

@@ -18,12 +18,12 @@ import numpy as np
 from occmap.cells import CellBox, Key, Slices, Tile, view_tiles
 from occmap.errors import MapError
 from occmap.grid import MOST_CELLS_OF_BEAM
+from occmap.grid.kernels import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.kernels.beams import Tiles, read_tiles, sum_changes, trace_beams
 from occmap.grid.kernels.lines import Changes, Field
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.tiles import (
     INT32_LIMIT,
     MAX_CELLS,

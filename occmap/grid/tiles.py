@@ -19,13 +19,12 @@ from numpy.typing import DTypeLike, NDArray
 
 from occmap.cells import MOST_OBSERVED, CellBox, Key, Slices, Tile, stack_tiles
 from occmap.errors import MapError
-from occmap.grid import Lattice
-from occmap.grid.kernels import units
-from occmap.grid.kernels.units import BEAM_WEIGHT, COUNT_BITS, NEAR_WEIGHT, TABLE_STEPS, Tables
+from occmap.grid import Lattice, kernels
+from occmap.grid.kernels import BEAM_WEIGHT, COUNT_BITS, NEAR_WEIGHT, TABLE_STEPS, Tables
 from occmap.report import write_metres
 from occmap.types import Bool, Float64, Int64, UInt8, Update
 
-TILE = units.TILE
+TILE = kernels.TILE
 """Cells along the side of a tile."""
 PART = 4 * TILE
 """Cells along the side of what is worked out at a time."""

@@ -1,23 +1,20 @@
-"""Messages of points as clouds: PointCloud2, Livox's own, and depth images.
+"""Messages of points as clouds: PointCloud2 and Livox's own.
 
 Points stay as their driver wrote them, with NaN or zeros where nothing came back.
 """
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError
-from occmap.jit import kernel, step
 from occmap.readers import NoteList
-from occmap.readers.fields import get, get_bytes, get_header, get_list, get_row, get_whole, look
-from occmap.types import Bool, Cloud, Float32, Int32, Int64, UInt8
-from occmap.values import as_text, shorten
+from occmap.readers.fields import get, get_bytes, get_header, get_list, get_row, get_whole
+from occmap.types import Cloud, Float32, Int64, UInt8
+from occmap.values import as_text
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
 """What drivers call the time of a point."""
@@ -32,22 +29,6 @@ ROS_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "
 """NumPy's names of the number types of sensor_msgs/PointField."""
 FOXGLOVE_KINDS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 """Those of foxglove.PackedElementField."""
-
-_DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
-"""What depths are written as by encoding, and how many metres one is (REP 118)."""
-_COMPRESSED_HEAD = np.dtype([("form", "<i4"), ("a", "<f4"), ("b", "<f4")])
-"""What compressed_depth_image_transport puts before a PNG."""
-
-
-class Camera(NamedTuple):
-    """The pinhole camera of a depth image: pixels a metre at 1 m, and where its axis meets it."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
 
 
 def convert_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
@@ -144,7 +125,7 @@ def make_cloud(
             offset_ns, found = find_offsets(columns[name], points, header[0])
             times = f"{name}, {found}" if found else ""
             return Cloud(*header, points, offset_ns, None, topic, record_ns, times)
-    return Cloud(*header, points, None, None, topic, record_ns, may_fly=True)
+    return Cloud(*header, points, None, None, topic, record_ns, is_image=None)
 
 
 def stack_points(axes: Sequence[NDArray[Any]]) -> Float32:
@@ -264,197 +245,3 @@ def parse_livox(encoding: str, data: memoryview) -> Mapping[str, Any]:
 def convert_livox(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert what `parse_livox` gives."""
     return make_cloud(message["points"], get_header(message), topic, record_ns)
-
-
-def read_camera(message: Any) -> Camera:
-    """Read a sensor_msgs/CameraInfo; raises DamageError where it is of no pinhole camera."""
-    name = "k" if look(message, "k") is not None else "K"  # in ROS 1
-    k, p = get_row(message, name), get_row(message, name.replace("k", "p").replace("K", "P"))
-    # Depth images are rectified, which P is for; drivers that do not rectify leave it empty.
-    row = p if len(p) == 12 and p[0] else k
-    if len(row) not in {9, 12}:
-        raise DamageError("states no matrix")
-    fx, cx, fy, cy = row[[0, 2, 5, 6] if len(row) == 12 else [0, 2, 4, 5]].tolist()
-    camera = Camera(get_whole(message, "width"), get_whole(message, "height"), fx, fy, cx, cy)
-    if not (math.isfinite(sum(camera)) and min(fx, fy) > 0):
-        raise DamageError("states no focal length")
-    return camera
-
-
-def is_depth(message: Any) -> bool:
-    """Whether an image, or a compressed one, holds depths; raises DamageError."""
-    if look(message, "encoding") is not None:
-        return get(message, "encoding") in _DEPTHS
-    return "compressedDepth" in as_text(get(message, "format"))
-
-
-def convert_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
-    """Convert a sensor_msgs/Image of depths: a point for each pixel that has one."""
-    encoding, order = get(message, "encoding"), ">" if get_whole(message, "is_bigendian") else "<"
-    if encoding not in _DEPTHS:
-        raise DamageError(f"is written as {shorten(encoding)}, which no depth is")
-    kind, unit = _DEPTHS[encoding]
-    rows, width, step = (get_whole(message, name) for name in ("height", "width", "step"))
-    fields = {"z": (kind, 0)}
-    steps = step, np.dtype(kind).itemsize
-    depth = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)["z"]
-    depth = depth.reshape(rows, width) * np.float32(unit)
-    return _project(camera, depth, message, topic, record_ns)
-
-
-def convert_compressed_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
-    """Convert a sensor_msgs/CompressedImage, as compressed_depth_image_transport writes it.
-
-    Depths that were floats lie in the PNG as a / depth + b, and 0 where there is none.
-    """
-    from PIL import Image  # noqa: PLC0415  late: few logs need it
-
-    data, head = get_bytes(message, "data"), _COMPRESSED_HEAD
-    try:
-        _, a, b = np.frombuffer(data, head, 1)[0].tolist()
-        with Image.open(BytesIO(data[head.itemsize :].tobytes()), formats=["PNG"]) as image:
-            packed = np.asarray(image).astype(np.float32)
-    except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        form = f"where `format` is {shorten(get(message, 'format'))}"
-        raise DamageError(f"holds no PNG of depths, {form} ({type(error).__name__})") from None
-    if packed.ndim != 2:
-        raise DamageError("holds a PNG of colours, which no depth is")
-    depth = packed * np.float32(1e-3)
-    if get(message, "format").startswith("32FC1"):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = np.where(packed > 0, np.float32(a) / (packed - np.float32(b)), 0)
-    return _project(camera, depth, message, topic, record_ns)
-
-
-def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns: int) -> Cloud:
-    """Put the pixels of an image (H, W), of depths in m, where they lie in the optical frame."""
-    if depth.shape != (camera.height, camera.width):
-        found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
-        raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    flying = find_flying(depth, min(camera.fx, camera.fy))
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~flying)
-    z = depth[row, column]
-    x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
-    return Cloud(*get_header(message), stack_points([x, y, z]), None, None, topic, record_ns)
-
-
-FLYING_M, FLYING_SHARE, FLYING_PIXELS = 0.1, 0.03, 10
-"""At an edge, a pixel so far (m, this share of its depth, or widths of a pixel there) from both
-things mixes the two"""
-EDGE, BESIDE, STEEPER = 2, 3, 2
-"""An edge blurs so many pixels; so many more beside them show how a surface slants, and an edge is
-so many times as steep"""
-RIM = EDGE + BESIDE
-FEWEST, SAMPLE, STRIDE = 1 << 8, 1 << 12, 7919
-"""Fewer points do not show if they are pixels; so many do, at steps that are in time with no row"""
-FINEST, OFF, MOST_PIXELS, MOST_EMPTY = 1e-4, 0.2, 1 << 12, 16
-"""A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
-more pixels from one another, in an image of no more pixels for each of them"""
-
-
-def find_flying(depth: Float32, focal: float) -> Bool:
-    """Find pixels (H, W) that hang in the air between a nearer and a farther thing beside them.
-
-    A pole is nearer than both of its sides; and along a surface, however it slants, one over the
-    depth grows evenly.
-
-    Parameters
-    ----------
-    focal
-        How many pixels are a metre at 1 m.
-    """
-    seen = np.where((depth > 0) & (depth < np.inf), depth, np.nan)
-    wide = np.pad(seen, RIM, constant_values=np.nan)
-    flying = np.zeros(wide.shape, np.uint8)
-    share = max(FLYING_SHARE, FLYING_PIXELS / focal)
-    mark_flying(wide.reshape(-1), wide.shape[1], share, flying.reshape(-1))
-    return flying[RIM:-RIM, RIM:-RIM].astype(np.bool_)
-
-
-@kernel
-def mark_flying(depth: Float32, width: int, share: float, flying: UInt8) -> None:
-    """Mark pixels (H W,) that hang in the air; around the image are `RIM` that are NaN."""
-    for i in range(RIM * width, depth.size - RIM * width):
-        if depth[i] > 0:
-            least = max(FLYING_M, share * depth[i])
-            for way in (1, -1, width, -width):
-                flying[i] |= is_between(depth, i, way, least)
-
-
-@step
-def is_between(depth: Float32, i: int, way: int, least: float) -> bool:
-    """Whether a pixel is between something nearer before it and something farther after it."""
-    here, start, end = depth[i], depth[i - EDGE * way], depth[i + EDGE * way]
-    near, far = np.fmin(start, depth[i - way]), np.fmax(depth[i + way], end)
-    if not (here - near > least and far - here > least):
-        return False
-    before, after = depth[i - RIM * way], depth[i + RIM * way]
-    slant = np.fmax(1 / before - 1 / start, 1 / end - 1 / after) * (2 * EDGE / BESIDE)
-    return not 1 / near - 1 / far <= STEEPER * slant  # nor where nothing shows the slant
-
-
-def leave_out_flying(cloud: Cloud) -> Cloud:
-    """Leave out points that hang in the air, if they may and a depth camera saw them all at once.
-
-    It looks along z, and its pixels are even steps of x / z and of y / z.
-    """
-    points = cloud.points
-    if not cloud.may_fly or len(points) < FEWEST:
-        return cloud
-    if (points[:: len(points) // 64, 2] < 0).any():  # as nearly all others have
-        return cloud
-    stride = STRIDE + (len(points) % STRIDE == 0)
-    some = points[np.arange(min(SAMPLE, len(points))) * stride % len(points)]
-    some = some[some[:, 2] != 0]
-    if not (some[:, 2] >= 0).any() or (some[:, 2] < 0).any():
-        return cloud
-    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
-        across, down = find_step(some[:, 0] / some[:, 2]), find_step(some[:, 1] / some[:, 2])
-    if not (across and down):
-        return cloud
-    points, pixels = np.array(points), np.empty((3, len(points)), np.int32)
-    many = place_pixels(points.reshape(-1), across, down, pixels)
-    which, col, row = pixels[:, :many]
-    if many == 0 or np.ptp(col) * np.ptp(row) > MOST_EMPTY * many:  # a flipped bit, too
-        return cloud
-    col, row = col - col.min(), row - row.min()
-    depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
-    depth[row, col] = points[which, 2]
-    points[which[find_flying(depth, 1 / max(across[1], down[1]))[row, col]]] = np.nan
-    return cloud._replace(points=points)
-
-
-def find_step(slopes: Float32) -> tuple[float, float] | None:
-    """Find the least of some slopes, and the width of a pixel, if they are even steps."""
-    order = np.sort(slopes[np.isfinite(slopes)]).astype(np.float64)
-    gaps = np.diff(order)
-    if not (gaps > FINEST).any():
-        return None
-    steps = np.rint(gaps / np.median(gaps[gaps > FINEST])).cumsum()
-    width = (order[-1] - order[0]) / max(steps[-1], 1)
-    is_even = np.abs((order[1:] - order[0]) / width - steps).max() < OFF
-    return (float(order[0]), float(width)) if is_even else None
-
-
-@kernel
-def place_pixels(
-    points: Float32, across: tuple[float, float], down: tuple[float, float], pixels: Int32
-) -> int:
-    """Say in which column and row some points (3 N,) lie, if not far off; return how many do.
-
-    Parameters
-    ----------
-    across, down
-        Slopes in the middle of a column and of a row, and how far it is to the next.
-    pixels
-        (3, N) which points were seen, their columns and their rows; written.
-    """
-    many = 0
-    for i in range(points.size // 3):
-        x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
-        if 0 < z < np.inf and np.isfinite(x) and np.isfinite(y):
-            col, row = (x / z - across[0]) / across[1], (y / z - down[0]) / down[1]
-            if max(abs(col), abs(row)) <= MOST_PIXELS:
-                pixels[0, many], pixels[1, many], pixels[2, many] = i, np.rint(col), np.rint(row)
-                many += 1
-    return many

@@ -13,7 +13,7 @@ from occmap.options import BuildOptions, Selection
 from occmap.posing import Concern, Doubt, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, Role, read_recorded
-from occmap.readers.cloud_messages import leave_out_flying
+from occmap.readers.depth import clean_cloud
 from occmap.scans import TopicSample
 from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
@@ -306,7 +306,7 @@ class Drive:
                 if not isinstance(some, Cloud)
                 or wants(stamps.choose(some.stamp_ns, some.record_ns), len(some.points))
             )
-        chosen = (leave_out_flying(some) if isinstance(some, Cloud) else some for some in chosen)
+        chosen = (clean_cloud(some) if isinstance(some, Cloud) else some for some in chosen)
         limited = map(self.limits.apply, stack(map(self.poser.settle_moments, chosen), stamps))
         for batch in tally.time_each("read", limited):
             selector.see_batch(batch)

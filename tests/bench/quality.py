@@ -25,7 +25,7 @@ from occmap.cells import OccupancyMap
 from occmap.choices import list_values, take
 from occmap.errors import OccmapError
 from occmap.evidence import render
-from occmap.grid.kernels.units import HIT
+from occmap.grid.kernels import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import kernel
 from occmap.options import OPTIONS, BuildOptions, choose_model

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.grid import Lattice
-from occmap.grid.kernels.units import TABLE_STEPS
+from occmap.grid.kernels import TABLE_STEPS
 from occmap.grid.tiles import LOG_ODDS_UNIT, WINDOW_CELLS, GridSpec, tabulate
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel

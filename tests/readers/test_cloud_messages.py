@@ -14,11 +14,12 @@ from occmap.errors import LogError
 from occmap.options import BuildOptions
 from occmap.posing import PosingOptions
 from occmap.readers import Role, open_log, read_recorded
-from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets, leave_out_flying
+from occmap.readers.cloud_messages import convert_cloud, find_offsets
+from occmap.readers.depth import clean, clean_cloud
 from occmap.scans.logs import choose_topics
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
-from occmap.types import Cloud, Pose
+from occmap.types import Cloud, Float64, Pose
 from tests.readers.clouds import cloud, image, info, listed, livox, packed
 from tests.readers.foxglove_logs import Message, place, stamp, write_json
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, both, drive, write_bag1, write_mcap
@@ -41,7 +42,7 @@ def record(
 
 
 def decode(message: Any) -> list[list[float]]:
-    seen = leave_out_flying(convert_cloud(message, "/cloud", 7))
+    seen = clean_cloud(convert_cloud(message, "/cloud", 7))
     points: list[list[float]] = seen.points.tolist()
     return points
 
@@ -271,10 +272,41 @@ def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
     depths: list[float], flying: list[int]
 ) -> None:
     row = np.array([depths], np.float32)
-    for found in find_flying(row, 200.0), find_flying(row[:, ::-1], 200.0)[:, ::-1]:
-        assert np.flatnonzero(found).tolist() == flying
-    assert np.flatnonzero(find_flying(row.T, 200.0)).tolist() == flying
-    assert not find_flying(row, 2.0).any()  # pixels as wide as that may be three things
+    for found in clean(row, 200.0), clean(row[:, ::-1], 200.0)[:, ::-1], clean(row.T, 200.0).T:
+        is_seen = (row > 0) & np.isfinite(row)
+        assert np.flatnonzero(is_seen & np.isnan(found)).tolist() == flying
+    assert (clean(row, 2.0) > 0).sum() == is_seen.sum()  # as wide pixels may be three things
+
+
+def average_slowly(inverse: Float64, alike: float, axis: int) -> Float64:
+    even = inverse.copy()
+    for at in np.ndindex(*inverse.shape):
+        here, size = np.array(at), inverse.shape[axis]
+        line = np.moveaxis(inverse, axis, 0)[:, here[1 - axis]]
+        values, middle = [inverse[at]], here[axis]
+        for before, after in [(middle - apart, middle + apart) for apart in (2, 4, 6, 8)]:
+            if before >= 0 and after < size:
+                ends = line[[before, after]]
+                values += list(ends) if np.abs(ends - inverse[at]).sum() < alike else []
+        even[at] = np.mean(values)
+    return even
+
+
+def test_noise_is_averaged_along_a_surface_however_it_leans_and_not_over_its_edge() -> None:
+    row, col = np.indices((44, 60))
+    exact = 0.5 + 0.003 * row + 0.001 * col + 0.1 * ((row > 20) & (col > 30))
+    noise = np.random.default_rng(3).normal(size=exact.shape)
+
+    seen = exact + 0.004 * noise
+    found = 1 / clean((1 / seen).astype(np.float32), 200.0)
+    still = (1 / (exact + 0.0002 * noise)).astype(np.float32)
+
+    bends = [seen[::4, at - 4] + seen[::4, at + 4] - 2 * seen[::4, at] for at in range(4, 56)]
+    alike = 5 * 1.4826 * np.median(np.abs(bends)) / math.sqrt(6)
+    expected = average_slowly(average_slowly(seen, alike, 1), alike, 0)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert np.std((found - exact)[8:20, 8:30]) < 0.3 * 0.004  # and not beside the image's border
+    np.testing.assert_array_equal(clean(still, 200.0), still)
 
 
 def test_points_of_a_camera_in_any_order_are_its_pixels(tmp_path: Path) -> None:

@@ -48,6 +48,8 @@ class Cloud(NamedTuple):
     """(M, 3, 4) from the points' frame to the map"""
     origin: Float64
     """(3,) m, where the sensor was in the map"""
+    is_image: bool
+    """Whether a depth camera saw it"""
 
 
 class Histogram(NamedTuple):
@@ -301,7 +303,8 @@ def list_clouds(posed: PosedScans) -> Iterator[Cloud]:
     middle = place[:, place.shape[1] // 2, :, 3]
     origins = np.ascontiguousarray(middle if posed.origin is None else posed.origin)
     for cloud, poses, origin in zip(posed.batch.clouds or (), place, origins, strict=True):
-        yield Cloud(pack_points(cloud.points), find_moments(cloud, len(poses)), poses, origin)
+        points, which = pack_points(cloud.points), find_moments(cloud, len(poses))
+        yield Cloud(points, which, poses, origin, bool(cloud.is_image))
 
 
 def pack_points(points: Float32) -> Float32:

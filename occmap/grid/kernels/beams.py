@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels import lines, units
+from occmap.grid import kernels
+from occmap.grid.kernels import lines
 from occmap.grid.kernels.lines import Changes, Field, Line, Path, find_step, steps_after
 from occmap.grid.kernels.projection import Beams
 from occmap.jit import kernel, step
@@ -51,15 +52,15 @@ def read_tiles(
     """
     bits, kept, entry = packing
     first_row, first_col, last_row, last_col = touched
-    across, up = changes.cols + units.PAD, changes.rows + units.PAD
+    across, up = changes.cols + kernels.PAD, changes.rows + kernels.PAD
     in_cols, size = (2 * changes.rows + 1) * across, 0
     has_cols = changes.numbers.size > in_cols
     for tile_row in range(first_row, last_row):
         for tile_col in range(first_col, last_col):
             seen = 0
-            for r in range(units.TILE):
-                row, col = tile_row * units.TILE + r, tile_col * units.TILE
-                for c in range(units.TILE):
+            for r in range(kernels.TILE):
+                row, col = tile_row * kernels.TILE + r, tile_col * kernels.TILE
+                for c in range(kernels.TILE):
                     plain = changes.numbers[np.uint64(row * across + col + c)]
                     if has_cols:
                         plain += changes.numbers[np.uint64(in_cols + (col + c) * up + row)]
@@ -101,11 +102,11 @@ def sum_changes(
 
 ENTRY_BITS = 13
 """Bits of the place of an entry in both tables of a model together."""
-WEIGHT_BITS = units.BEAM_WEIGHT.bit_length()
+WEIGHT_BITS = kernels.BEAM_WEIGHT.bit_length()
 NOTE_BITS = ENTRY_BITS + WEIGHT_BITS
 """A note says what a cell gets: its place above these bits, below it the weight, and in the lowest
 bits the entry. Of the 53 bits of a float, 36 are left for the place, of which there are 2^28."""
-INSIDE = units.TILE - 1
+INSIDE = kernels.TILE - 1
 """Mask of the row or column inside a tile."""
 
 
@@ -142,7 +143,7 @@ class Ray(NamedTuple):
 
 @kernel
 def trace_beams(
-    beams: Beams, radial: units.Tables | None, field: Field, notes: Float64, tiles: Tiles | None
+    beams: Beams, radial: kernels.Tables | None, field: Field, notes: Float64, tiles: Tiles | None
 ) -> None:
     """Add to the cells of a window what a model says of every beam.
 
@@ -156,12 +157,12 @@ def trace_beams(
         Where cells lie; None: every cell of the window has a place.
     """
     kinds, links, depth, fill = beams.rays.kind, beams.links, 0.0, 0
-    stride = field.changes.cols + units.PAD
+    stride = field.changes.cols + kernels.PAD
     if radial is not None:
         depth = radial.depth * beams.units_per_metre
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
-            if kinds[s, b] == units.SKIP:
+            if kinds[s, b] == kernels.SKIP:
                 continue
             ray = place_ray(beams, s, b, field.corner)
             for i in range(1 + (links[1, s, b] if links.size else 0)):
@@ -175,14 +176,14 @@ def trace_beams(
                         fill = list_in_tiles(path, ray, depth, tiles, notes, fill)
                     else:
                         fill = list_slope(path, ray, depth, (stride, 0), notes, fill)
-                    if fill >= units.MANY:
+                    if fill >= kernels.MANY:
                         add_notes(field.cells, notes, fill, radial)
                         fill = 0
                 elif tiles is not None:
                     visit_path(path, tiles)
                 elif path.plain < path.end:
-                    row, col = ray.to_y >> units.CELL_SHIFT, ray.to_x >> units.CELL_SHIFT
-                    field.cells[np.uint64(row * stride + col)] += ray.weight << units.COUNT_BITS
+                    row, col = ray.to_y >> kernels.CELL_SHIFT, ray.to_x >> kernels.CELL_SHIFT
+                    field.cells[np.uint64(row * stride + col)] += ray.weight << kernels.COUNT_BITS
     if radial is not None:
         add_notes(field.cells, notes, fill, radial)
 
@@ -195,29 +196,29 @@ def place_ray(beams: Beams, s: int, b: int, corner: Int64) -> Ray:
     to_x, to_y = beams.ends_x[s, b] - left, beams.ends_y[s, b] - bottom
     weight = int(beams.links[0, s, b]) if beams.links.size else 1
     measured = beams.ranges[s, b] if beams.ranges.size else 0.0
-    return Ray(x, y, x, y, to_x, to_y, beams.rays.kind[s, b] == units.HIT, weight, measured, 0.0)
+    return Ray(x, y, x, y, to_x, to_y, beams.rays.kind[s, b] == kernels.HIT, weight, measured, 0.0)
 
 
 @step
-def draw_next(ray: Ray, right: int, up: int, radial: units.Tables | None, depth: float) -> Ray:
+def draw_next(ray: Ray, right: int, up: int, radial: kernels.Tables | None, depth: float) -> Ray:
     """Draw a beam beside another one, whose end lies so far from that one's."""
     x, y, to_x, to_y = ray.at_x, ray.at_y, ray.to_x + right, ray.to_y + up
     begin = lines.begin_between(x, to_x), lines.begin_between(y, to_y)
     length = 0.0 if radial is None else np.hypot(float(to_x - x), float(to_y - y))
     measured, begun = max(length - depth, 0.0), lines.BEGIN_EIGHTHS / 8 * length
-    return Ray(x, y, *begin, to_x, to_y, ray.is_hit, int(units.BETWEEN), measured, begun)
+    return Ray(x, y, *begin, to_x, to_y, ray.is_hit, int(kernels.BETWEEN), measured, begun)
 
 
 @step
-def find_path(ray: Ray, radial: units.Tables | None, depth: float) -> Path:
+def find_path(ray: Ray, radial: kernels.Tables | None, depth: float) -> Path:
     """Find the cells of a beam, and which of them are plain."""
-    col, row = ray.x >> units.CELL_SHIFT, ray.y >> units.CELL_SHIFT
-    end_col, end_row = ray.to_x >> units.CELL_SHIFT, ray.to_y >> units.CELL_SHIFT
+    col, row = ray.x >> kernels.CELL_SHIFT, ray.y >> kernels.CELL_SHIFT
+    end_col, end_row = ray.to_x >> kernels.CELL_SHIFT, ray.to_y >> kernels.CELL_SHIFT
     line = lines.draw_line(col, row, end_col, end_row)
     plain = line.n + (not ray.is_hit)
     if radial is not None:
         reach = radial.plain * max(ray.range - depth, 0.0) - ray.begun
-        reach = reach / units.UNITS_PER_CELL - lines.FARTHEST_CENTRE
+        reach = reach / kernels.UNITS_PER_CELL - lines.FARTHEST_CENTRE
         plain = lines.count_nearer(line.n, line.m, reach)
     return Path(line, 0, plain, line.n + 1, ray.weight)
 
@@ -234,14 +235,14 @@ def list_slope(
     """
     line, r, reach, (stride, begin) = path.line, ray.range, depth if ray.is_hit else -1.0, rows
     free_range = max(r - depth, 0.0)
-    free_scale = units.TABLE_STEPS / max(free_range * free_range, 1.0)
-    hit_scale = units.TABLE_STEPS / max(depth, units.NO_LENGTH)
-    first_hit, nothing = float(units.FIRST_HIT), float(units.NOTHING)
+    free_scale = kernels.TABLE_STEPS / max(free_range * free_range, 1.0)
+    hit_scale = kernels.TABLE_STEPS / max(depth, kernels.NO_LENGTH)
+    first_hit, nothing = float(kernels.FIRST_HIT), float(kernels.NOTHING)
     at_u, at_v = turn_axes(line, ray.at_x, ray.at_y)
-    from_u = float((line.u << units.CELL_SHIFT) + units.HALF_CELL - at_u)
-    from_v = float((line.v << units.CELL_SHIFT) + units.HALF_CELL - at_v)
-    step_u = float(line.u_sign * units.UNITS_PER_CELL)
-    step_v = float(line.v_sign * units.UNITS_PER_CELL)
+    from_u = float((line.u << kernels.CELL_SHIFT) + kernels.HALF_CELL - at_u)
+    from_v = float((line.v << kernels.CELL_SHIFT) + kernels.HALF_CELL - at_v)
+    step_u = float(line.u_sign * kernels.UNITS_PER_CELL)
+    step_v = float(line.v_sign * kernels.UNITS_PER_CELL)
     # A cell's note is the first cell's, and for each step along u or v as much more.
     per_u, per_v = turn_axes(line, 1, stride)
     place = line.u * per_u + line.v * per_v + begin
@@ -268,7 +269,7 @@ def turn_axes(line: Line, x: int, y: int) -> tuple[int, int]:
 
 
 @step
-def add_notes(cells: Int64, notes: Float64, size: int, radial: units.Tables) -> None:
+def add_notes(cells: Int64, notes: Float64, size: int, radial: kernels.Tables) -> None:
     """Add to the cells of a window what the notes say."""
     for k in range(size):
         note = int(notes[k])
@@ -280,7 +281,7 @@ def add_notes(cells: Int64, notes: Float64, size: int, radial: units.Tables) -> 
 @step
 def find_tile(tiles: Tiles, row: int, col: int) -> int:
     """Find the number of the tile of a cell; it is made if need be."""
-    up, right = np.uint64(row >> units.TILE_BITS), np.uint64(col >> units.TILE_BITS)
+    up, right = np.uint64(row >> kernels.TILE_BITS), np.uint64(col >> kernels.TILE_BITS)
     tile = int(tiles.table[up, right])
     if tile < 0:
         tile = int(tiles.used[0])
@@ -293,8 +294,8 @@ def find_tile(tiles: Tiles, row: int, col: int) -> int:
 def leave_tile(line: Line, i: int, made: int) -> int:
     """Find the first cell of a line, behind the i-th and so many steps, that is in another tile."""
     u, v = line.u + line.u_sign * i, line.v + line.v_sign * made
-    left_u = units.TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
-    left_v = units.TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
+    left_u = kernels.TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
+    left_v = kernels.TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
     return min(i + left_u, find_step(line, made + left_v))
 
 
@@ -309,9 +310,9 @@ def list_in_tiles(
         stop = min(leave_tile(line, i, made), path.end)
         col, row = turn_axes(line, line.u + line.u_sign * i, line.v + line.v_sign * made)
         tile = find_tile(tiles, row, col)
-        begin = (tile - (row >> units.TILE_BITS)) * units.TILE**2 - (col & ~INSIDE)
+        begin = (tile - (row >> kernels.TILE_BITS)) * kernels.TILE**2 - (col & ~INSIDE)
         piece = Path(line, i, i, stop, path.weight)
-        fill = list_slope(piece, ray, depth, (units.TILE, begin), notes, fill)
+        fill = list_slope(piece, ray, depth, (kernels.TILE, begin), notes, fill)
         i = stop
     return fill
 
@@ -324,9 +325,9 @@ def visit_path(path: Path, tiles: Tiles) -> None:
     too few by less than 2^-25, and a quarter of 1 / n separates them from the next whole number.
     """
     line, counts = path.line, tiles.counts
-    along, across = line.u_sign, line.v_sign * units.TILE
+    along, across = line.u_sign, line.v_sign * kernels.TILE
     if line.steep:
-        along, across = line.u_sign * units.TILE, line.v_sign
+        along, across = line.u_sign * kernels.TILE, line.v_sign
     per_cell = 1.0 / max(line.n, 1)
     slope, half = line.m * per_cell, 0.5 + 0.25 * per_cell
     i = path.first
@@ -335,7 +336,7 @@ def visit_path(path: Path, tiles: Tiles) -> None:
         made = int(steps)
         col, row = turn_axes(line, line.u + line.u_sign * i, line.v + line.v_sign * made)
         tile = find_tile(tiles, row, col)
-        place = (2 * tile + 1) * units.TILE**2 + (row & INSIDE) * units.TILE + (col & INSIDE)
+        place = (2 * tile + 1) * kernels.TILE**2 + (row & INSIDE) * kernels.TILE + (col & INSIDE)
         stop = min(leave_tile(line, i, made), path.end)
         part, more = int((steps - made) * 2.0**32), int(slope * 2.0**32)
         for _ in range(min(stop, path.plain) - i):
@@ -343,5 +344,5 @@ def visit_path(path: Path, tiles: Tiles) -> None:
             place += along
             part += more
         if stop > path.plain:
-            counts[np.uint64(place + (part >> 32) * across - units.TILE**2)] += path.weight
+            counts[np.uint64(place + (part >> 32) * across - kernels.TILE**2)] += path.weight
         i = stop

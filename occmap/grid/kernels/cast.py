@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.units import HIT, SKIP
+from occmap.grid.kernels import HIT, SKIP
 from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Rays, UInt8
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.units import AT_A_TIME, PAD
+from occmap.grid.kernels import AT_A_TIME, PAD
 from occmap.jit import step
 from occmap.types import Int32, Int64
 

@@ -18,10 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels import spans
+from occmap.grid.kernels import CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP, spans
 from occmap.grid.kernels.lines import Field
 from occmap.grid.kernels.projection import Beams
-from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
 from occmap.jit import kernel, step
 from occmap.types import Int32, Int64, UInt8
 

@@ -16,7 +16,7 @@ import numpy as np
 from occmap.cells import CellBox
 from occmap.errors import MapError
 from occmap.grid import FARTHEST_UNIT, refuse_long
-from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
+from occmap.grid.kernels import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
 from occmap.grid.tiles import GridSpec
 from occmap.jit import kernel
 from occmap.types import Float64, Int16, Int32, Int64, Kind, Rays, Update

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels import spans, units
+from occmap.grid import kernels
+from occmap.grid.kernels import spans
 from occmap.grid.kernels.lines import Field, fill_up
 from occmap.grid.kernels.projection import Beams
 from occmap.jit import kernel
@@ -77,7 +78,7 @@ class Sectors(NamedTuple):
 class Room(NamedTuple):
     """What a scan is worked out in."""
 
-    tables: units.Tables
+    tables: kernels.Tables
     depth: float
     """How far about the range a hit reaches (lattice units)"""
     sectors: Sectors
@@ -98,7 +99,7 @@ class Room(NamedTuple):
     """The part of which all gets the first entry"""
 
 
-def trace_radial_polygons(beams: Beams, tables: units.Tables, field: Field) -> None:
+def trace_radial_polygons(beams: Beams, tables: kernels.Tables, field: Field) -> None:
     """Add what every scan says about each cell that it covers, once.
 
     A cell belongs to the beam that covers its bearing: a beam covers the bearings that are nearer
@@ -112,11 +113,11 @@ def trace_radial_polygons(beams: Beams, tables: units.Tables, field: Field) -> N
         which got the first entry of all.
     """
     (scans, count), rows = beams.rays.kind.shape, field.changes.rows
-    most, crossings, done = units.MANY + field.changes.cols + units.AT_A_TIME, 4 * rows, 0
+    most, crossings, done = kernels.MANY + field.changes.cols + kernels.AT_A_TIME, 4 * rows, 0
     places, bearings, beyond = np.empty((3, most), np.int32)
     listed = Listed(places, bearings, beyond, np.empty(most))
     covering, (scales, hits) = np.empty(BEARINGS + 1, np.int32), np.empty((2, count + 1))
-    free = np.append(tables.entries[: units.TABLE_STEPS], 0)
+    free = np.append(tables.entries[: kernels.TABLE_STEPS], 0)
     scales[-1], hits[-1] = np.inf, -np.inf
     depth, sectors = tables.depth * beams.units_per_metre, make_sectors(count)
     outline = spans.make_outline(4 * count + 4)
@@ -146,8 +147,8 @@ def trace_scans(beams: Beams, done: int, field: Field, room: Room) -> int:
         if spans.fill_outline(outline, corners, touched, cols, outer) < 0:
             return s
         for b in range(kinds.size):
-            room.scales[b] = units.TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
-            room.hits[b] = ranges[b] if kinds[b] == units.HIT else -np.inf
+            room.scales[b] = kernels.TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
+            room.hits[b] = ranges[b] if kinds[b] == kernels.HIT else -np.inf
             plain = room.tables.plain * (ranges[b] - depth)
             within[b] = max(plain * (1 - 1e-6) - ROUNDED, 0.0)
         inner.counts[:] = 0
@@ -164,10 +165,10 @@ def trace_scans(beams: Beams, done: int, field: Field, room: Room) -> int:
 def _observe_spans(at: tuple[int, int], touched: tuple[int, int], room: Room, field: Field) -> None:
     """Add the inner spans of a scan from one place, and what beams say about its other cells."""
     outer, inner, listed, runs = room.outer, room.inner, room.listed, field.changes.numbers
-    (at_x, at_y), stride, size = at, field.changes.cols + units.PAD, 0
-    side, from_x = float(units.UNITS_PER_CELL), float(units.HALF_CELL - at_x)
+    (at_x, at_y), stride, size = at, field.changes.cols + kernels.PAD, 0
+    side, from_x = float(kernels.UNITS_PER_CELL), float(kernels.HALF_CELL - at_x)
     for r in range(touched[0], touched[1]):
-        row, y = np.uint64(r), r * side + float(units.HALF_CELL - at_y)
+        row, y = np.uint64(r), r * side + float(kernels.HALF_CELL - at_y)
         n, inner_end = inner.starts[row], inner.starts[row] + inner.counts[row]
         beyond = np.int64(0)  # an inner span may bridge a gap between two others
         for i in range(outer.starts[row], outer.starts[row] + outer.counts[row], 2):
@@ -188,7 +189,7 @@ def _observe_spans(at: tuple[int, int], touched: tuple[int, int], room: Room, fi
                     listed.bearings[k] = bearing_of(x, y)
                 size += max(int(until - col), 0)
                 col = max(col, beyond)
-        if size >= units.MANY or r == touched[1] - 1:
+        if size >= kernels.MANY or r == touched[1] - 1:
             _observe_cells(room, size, field.cells)
             size = 0
 
@@ -197,7 +198,7 @@ def _observe_spans(at: tuple[int, int], touched: tuple[int, int], room: Room, fi
 def _observe_cells(room: Room, size: int, cells: Int64) -> None:
     """Add to each of the listed cells what the beam that covers its bearing says about it."""
     covering, free, entries = room.covering, room.free, room.tables.entries
-    (places, bearings, beyond, squares), steps, number = room.listed, units.TABLE_STEPS, 0
+    (places, bearings, beyond, squares), steps, number = room.listed, kernels.TABLE_STEPS, 0
     for i in range(size):
         k = np.uint64(i)
         as_free = squares[k] * room.scales[np.uint64(covering[np.uint64(bearings[k])])]
@@ -210,7 +211,7 @@ def _observe_cells(room: Room, size: int, cells: Int64) -> None:
         k = np.uint64(beyond[np.uint64(i)])
         hit = room.hits[np.uint64(covering[np.uint64(bearings[k])])]
         off = abs(np.sqrt(squares[k]) - hit) * to_steps
-        as_hit = units.FIRST_HIT + off if off <= steps else float(units.NOTHING)
+        as_hit = kernels.FIRST_HIT + off if off <= steps else float(kernels.NOTHING)
         cells[np.uint64(places[k])] += entries[np.uint64(int(as_hit))]
 
 
@@ -237,7 +238,7 @@ def find_sectors(beams: Beams, s: int, sectors: Sectors) -> float:
         t = min(b, turns.shape[0] - 1)
         x = turns[t, 0, 0] * bearing[0, b] + turns[t, 0, 1] * bearing[1, b]
         y = turns[t, 1, 0] * bearing[0, b] + turns[t, 1, 1] * bearing[1, b]
-        length = max(np.sqrt(x * x + y * y), units.NO_LENGTH)
+        length = max(np.sqrt(x * x + y * y), kernels.NO_LENGTH)
         direction[b, 0], direction[b, 1] = x / length, y / length
     for b in range(1, count):
         turn += direction[b - 1, 0] * direction[b, 1] - direction[b - 1, 1] * direction[b, 0]
@@ -277,7 +278,7 @@ def bearing_of(x: float, y: float) -> np.int32:
     Steps of x / (|x| + |y|) and not of the angle: they grow and shrink together, and this needs
     no arc tangent.
     """
-    part = x / max(abs(x) + abs(y), units.NO_LENGTH)
+    part = x / max(abs(x) + abs(y), kernels.NO_LENGTH)
     turned = 1.0 - part if y >= 0 else 3.0 + part
     return np.int32(turned * (BEARINGS / 4))
 
@@ -298,7 +299,7 @@ def cover_bearings(sectors: Sectors, kinds: UInt8, sign: float, covering: Int32)
         first = bearing_of(sides[b, right], sides[b, right + 1])
         last = bearing_of(sides[b, 2 - right], sides[b, 3 - right])
         if not covers[b] or first == last:
-            side_by_side = side_by_side and kinds[b] == units.SKIP
+            side_by_side = side_by_side and kinds[b] == kernels.SKIP
         elif last < first:
             covering[first:] = b
             covering[:last] = b
@@ -322,7 +323,7 @@ def reach_out(beams: Beams, s: int, depth: float, sectors: Sectors) -> None:
     sides, direction, lengths = sectors.sides, sectors.direction, sectors.lengths
     ranges, kinds = beams.ranges[s], beams.rays.kind[s]
     for b in range(kinds.size):
-        reach = ranges[b] + (depth if kinds[b] == units.HIT else 0.0) + ROUNDED
+        reach = ranges[b] + (depth if kinds[b] == kernels.HIT else 0.0) + ROUNDED
         for i in range(0, 4, 2):
             cosine = sides[b, i] * direction[b, 0] + sides[b, i + 1] * direction[b, 1]
             lengths[b, i], lengths[b, i + 1] = reach / max(cosine, COS_60 / 2), 0.0

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.grid.kernels import AT_A_TIME, CELL_SHIFT, HALF_CELL, PAD
 from occmap.grid.kernels.lines import fill_up
-from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, PAD
 from occmap.jit import kernel, step
 from occmap.types import Bool, Int32, Int64
 

@@ -1,0 +1,297 @@
+"""Images of depth cameras as clouds, without what hangs in the air at edges, and less noisy.
+
+Cameras measure one over the depth, which grows evenly along any plane.
+"""
+
+import math
+from io import BytesIO
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from occmap.errors import DamageError
+from occmap.jit import kernel, step
+from occmap.readers.cloud_messages import stack_points, view_columns
+from occmap.readers.fields import get, get_bytes, get_header, get_row, get_whole, look
+from occmap.types import Bool, Cloud, Float32, Int32
+from occmap.values import as_text, shorten
+
+_DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+"""What depths are written as by encoding, and how many metres one is (REP 118)."""
+_COMPRESSED_HEAD = np.dtype([("form", "<i4"), ("a", "<f4"), ("b", "<f4")])
+"""What compressed_depth_image_transport puts before a PNG."""
+
+FLYING_M, FLYING_SHARE, FLYING_PIXELS = 0.1, 0.03, 10
+"""At an edge, a pixel so far (m, this share of its depth, or widths of a pixel there) from both
+things mixes the two"""
+EDGE, BESIDE, STEEPER = 2, 3, 2
+"""An edge blurs so many pixels; so many more beside them show how a surface slants, and an edge is
+so many times as steep"""
+RIM = EDGE + BESIDE
+FEWEST, SAMPLE, STRIDE = 1 << 8, 1 << 12, 7919
+"""Fewer points do not show if they are pixels; so many do, at steps that are in time with no row"""
+FINEST, OFF, MOST_PIXELS, MOST_EMPTY = 1e-4, 0.2, 1 << 12, 16
+"""A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
+more pixels from one another, in an image of no more pixels for each of them"""
+AVERAGED, GAP, EVERY = 8, 4, 4
+"""Noise is averaged over every second pixel up to here on either side; pixels so far apart, in each
+of so many rows, show how much of it there is"""
+ALIKE, QUIET = 5, 5e-4
+"""Two pixels lie on the surface of the one between them if they differ from it by so many times the
+noise together (1 / m); less noise than this does not matter"""
+MARGIN = max(RIM, AVERAGED)
+NOTHING = np.float32(np.nan)
+
+
+class Camera(NamedTuple):
+    """The pinhole camera of a depth image: pixels a metre at 1 m, and where its axis meets it."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+def read_camera(message: Any) -> Camera:
+    """Read a sensor_msgs/CameraInfo; raises DamageError where it is of no pinhole camera."""
+    name = "k" if look(message, "k") is not None else "K"  # in ROS 1
+    k, p = get_row(message, name), get_row(message, name.replace("k", "p").replace("K", "P"))
+    # Depth images are rectified, which P is for; drivers that do not rectify leave it empty.
+    row = p if len(p) == 12 and p[0] else k
+    if len(row) not in {9, 12}:
+        raise DamageError("states no matrix")
+    fx, cx, fy, cy = row[[0, 2, 5, 6] if len(row) == 12 else [0, 2, 4, 5]].tolist()
+    camera = Camera(get_whole(message, "width"), get_whole(message, "height"), fx, fy, cx, cy)
+    if not (math.isfinite(sum(camera)) and min(fx, fy) > 0):
+        raise DamageError("states no focal length")
+    return camera
+
+
+def is_depth(message: Any) -> bool:
+    """Whether an image, or a compressed one, holds depths; raises DamageError."""
+    if look(message, "encoding") is not None:
+        return get(message, "encoding") in _DEPTHS
+    return "compressedDepth" in as_text(get(message, "format"))
+
+
+def convert_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a sensor_msgs/Image of depths: a point for each pixel that has one."""
+    encoding, order = get(message, "encoding"), ">" if get_whole(message, "is_bigendian") else "<"
+    if encoding not in _DEPTHS:
+        raise DamageError(f"is written as {shorten(encoding)}, which no depth is")
+    kind, unit = _DEPTHS[encoding]
+    rows, width, step = (get_whole(message, name) for name in ("height", "width", "step"))
+    fields = {"z": (kind, 0)}
+    steps = step, np.dtype(kind).itemsize
+    depth = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)["z"]
+    depth = depth.reshape(rows, width) * np.float32(unit)
+    return _project(camera, depth, message, topic, record_ns)
+
+
+def convert_compressed_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a sensor_msgs/CompressedImage, as compressed_depth_image_transport writes it.
+
+    Depths that were floats lie in the PNG as a / depth + b, and 0 where there is none.
+    """
+    from PIL import Image  # noqa: PLC0415  late: few logs need it
+
+    data, head = get_bytes(message, "data"), _COMPRESSED_HEAD
+    try:
+        _, a, b = np.frombuffer(data, head, 1)[0].tolist()
+        with Image.open(BytesIO(data[head.itemsize :].tobytes()), formats=["PNG"]) as image:
+            packed = np.asarray(image).astype(np.float32)
+    except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        form = f"where `format` is {shorten(get(message, 'format'))}"
+        raise DamageError(f"holds no PNG of depths, {form} ({type(error).__name__})") from None
+    if packed.ndim != 2:
+        raise DamageError("holds a PNG of colours, which no depth is")
+    depth = packed * np.float32(1e-3)
+    if get(message, "format").startswith("32FC1"):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = np.where(packed > 0, np.float32(a) / (packed - np.float32(b)), 0)
+    return _project(camera, depth, message, topic, record_ns)
+
+
+def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns: int) -> Cloud:
+    """Put the pixels of an image (H, W), of depths in m, where they lie in the optical frame."""
+    if depth.shape != (camera.height, camera.width):
+        found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
+        raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
+    depth = clean(depth, min(camera.fx, camera.fy))
+    row, column = np.nonzero(depth > 0)
+    z = depth[row, column]
+    x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
+    points = stack_points([x, y, z])
+    return Cloud(*get_header(message), points, None, None, topic, record_ns, is_image=True)
+
+
+def clean(depth: Float32, focal: float) -> Float32:
+    """Leave out pixels (H, W) that hang in the air, and average noise; NaN where nothing is left.
+
+    Parameters
+    ----------
+    depth
+        m; 0 or not finite where nothing came back.
+    focal
+        How many pixels are a metre at 1 m.
+    """
+    seen = np.where((depth > 0) & (depth < np.inf), depth, NOTHING)
+    wide = np.pad(seen, MARGIN, constant_values=NOTHING)
+    width, cleaned = wide.shape[1], wide.reshape(-1)
+    inverse, flying = np.reciprocal(cleaned), np.zeros(cleaned.size, np.bool_)
+    share = max(FLYING_SHARE, FLYING_PIXELS / focal)
+    if (noise := measure_noise(inverse.reshape(wide.shape))) > QUIET:
+        for way in (1, width):
+            total, many = inverse.copy(), np.ones(inverse.size, np.float32)
+            for apart in range(2, AVERAGED + 1, 2):
+                add_pairs(inverse, apart * way, ALIKE * noise, total, many)
+            inverse = total / many
+        np.reciprocal(inverse, out=cleaned)
+    for way in (1, -1, width, -width):
+        mark_flying(inverse, way, share, flying)
+    cleaned[flying] = NOTHING
+    return wide[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
+
+def measure_noise(inverse: Float32) -> float:
+    """Standard deviation of one over the depth (H, W), by how rows bend; 0 where few show it."""
+    some = inverse[::EVERY]
+    bend = np.abs(some[:, 2 * GAP :] + some[:, : -2 * GAP] - 2 * some[:, GAP:-GAP])
+    bend = bend[np.isfinite(bend)]
+    return 1.4826 * float(np.median(bend)) / math.sqrt(6) if bend.size >= FEWEST else 0.0
+
+
+# Each loop runs over slices side by side, so that a processor takes many pixels at once.
+@kernel
+def mark_flying(inverse: Float32, way: int, share: float, flying: Bool) -> None:
+    """Mark pixels with something nearer before them, and something farther after them.
+
+    A pole is nearer than both of its sides; and along a surface, however it slants, one over the
+    depth grows evenly.
+
+    Parameters
+    ----------
+    inverse
+        (N,) one over the depth, row after row; NaN where nothing came back, and in `MARGIN` rows
+        and columns around the image.
+    way
+        How far it is to the pixel after each.
+    share
+        How far both are from it at least, as a share of its depth.
+    """
+    rim, size = RIM * abs(way), inverse.size - 2 * RIM * abs(way)
+    ahead, start = inverse[rim - RIM * way :], inverse[rim - EDGE * way :]
+    before, here, after = inverse[rim - way :], inverse[rim:], inverse[rim + way :]
+    end, beyond, flies = inverse[rim + EDGE * way :], inverse[rim + RIM * way :], flying[rim:]
+    least_m, least_share = np.float32(FLYING_M), np.float32(share)
+    steeper = np.float32(STEEPER * 2 * EDGE / BESIDE)
+    for i in range(size):
+        near, far = higher(start[i], before[i]), lower(after[i], end[i])
+        slant = higher(ahead[i] - start[i], end[i] - beyond[i]) * steeper
+        depth = 1 / here[i]
+        least = max(least_m, least_share * depth)
+        is_between = (depth - 1 / near > least) & (1 / far - depth > least)
+        # Nor is a surface known where nothing shows the slant.
+        flies[i] |= is_between & ~(near - far <= slant)
+
+
+@kernel
+def add_pairs(inverse: Float32, apart: int, alike: float, total: Float32, many: Float32) -> None:
+    """Add pairs of pixels to those between them where they lie on the same surface.
+
+    Parameters
+    ----------
+    apart
+        How far both are from it.
+    alike
+        By how much both together differ from it at most.
+    """
+    size, most = inverse.size - 2 * apart, np.float32(alike)
+    before, here, after = inverse[:size], inverse[apart:], inverse[2 * apart :]
+    totals, counts = total[apart:], many[apart:]
+    for i in range(size):
+        is_alike = abs(before[i] - here[i]) + abs(after[i] - here[i]) < most
+        totals[i] += before[i] + after[i] if is_alike else np.float32(0)
+        counts[i] += np.float32(2) if is_alike else np.float32(0)
+
+
+@step
+def higher(a: float, b: float) -> float:
+    """The higher of two numbers, or the one that is not NaN."""
+    return b if b > a or np.isnan(a) else a
+
+
+@step
+def lower(a: float, b: float) -> float:
+    """The lower of two, likewise."""
+    return b if b < a or np.isnan(a) else a
+
+
+def clean_cloud(cloud: Cloud) -> Cloud:
+    """Clean a cloud as images are, if a depth camera may have seen all its points at once and did.
+
+    It looks along z, and its pixels are even steps of x / z and of y / z.
+    """
+    points = cloud.points
+    if cloud.is_image is not None or len(points) < FEWEST:
+        return cloud
+    if (points[:: len(points) // 64, 2] < 0).any():  # as nearly all others have
+        return cloud
+    stride = STRIDE + (len(points) % STRIDE == 0)
+    some = points[np.arange(min(SAMPLE, len(points))) * stride % len(points)]
+    some = some[some[:, 2] != 0]
+    if not (some[:, 2] >= 0).any() or (some[:, 2] < 0).any():
+        return cloud
+    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
+        across, down = find_step(some[:, 0] / some[:, 2]), find_step(some[:, 1] / some[:, 2])
+    if not (across and down):
+        return cloud
+    points, pixels = np.array(points), np.empty((3, len(points)), np.int32)
+    many = place_pixels(points.reshape(-1), across, down, pixels)
+    which, col, row = pixels[:, :many]
+    if many == 0 or np.ptp(col) * np.ptp(row) > MOST_EMPTY * many:  # a flipped bit, too
+        return cloud
+    col, row = col - col.min(), row - row.min()
+    depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
+    depth[row, col] = points[which, 2]
+    shift = clean(depth, 1 / max(across[1], down[1]))[row, col] / depth[row, col]
+    points[which] *= shift[:, None]
+    return cloud._replace(points=points, is_image=True)
+
+
+def find_step(slopes: Float32) -> tuple[float, float] | None:
+    """Find the least of some slopes, and the width of a pixel, if they are even steps."""
+    order = np.sort(slopes[np.isfinite(slopes)]).astype(np.float64)
+    gaps = np.diff(order)
+    if not (gaps > FINEST).any():
+        return None
+    steps = np.rint(gaps / np.median(gaps[gaps > FINEST])).cumsum()
+    width = (order[-1] - order[0]) / max(steps[-1], 1)
+    is_even = np.abs((order[1:] - order[0]) / width - steps).max() < OFF
+    return (float(order[0]), float(width)) if is_even else None
+
+
+@kernel
+def place_pixels(
+    points: Float32, across: tuple[float, float], down: tuple[float, float], pixels: Int32
+) -> int:
+    """Say in which column and row some points (3 N,) lie, if not far off; return how many do.
+
+    Parameters
+    ----------
+    across, down
+        Slopes in the middle of a column and of a row, and how far it is to the next.
+    pixels
+        (3, N) which points were seen, their columns and their rows; written.
+    """
+    many = 0
+    for i in range(points.size // 3):
+        x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
+        if 0 < z < np.inf and np.isfinite(x) and np.isfinite(y):
+            col, row = (x / z - across[0]) / across[1], (y / z - down[0]) / down[1]
+            if max(abs(col), abs(row)) <= MOST_PIXELS:
+                pixels[0, many], pixels[1, many], pixels[2, many] = i, np.rint(col), np.rint(row)
+                many += 1
+    return many
