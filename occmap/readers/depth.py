@@ -253,11 +253,11 @@ def clean_cloud(cloud: Cloud) -> Cloud:
     which, col, row = pixels[:, :many]
     if many == 0 or np.ptp(col) * np.ptp(row) > MOST_EMPTY * many:  # a flipped bit, too
         return cloud
-    col, row = col - col.min(), row - row.min()
-    depth = np.zeros((row.max() + 1, col.max() + 1), np.float32)
-    depth[row, col] = points[which, 2]
-    shift = clean(depth, 1 / max(across[1], down[1]))[row, col] / depth[row, col]
-    points[which] *= shift[:, None]
+    depth = np.zeros((np.ptp(row) + 1, np.ptp(col) + 1), np.float32)
+    place = (row - row.min()) * depth.shape[1] + (col - col.min())
+    depth.reshape(-1)[place] = points[which, 2]
+    cleaned = clean(depth, 1 / max(across[1], down[1])).reshape(-1)
+    move_points(points.reshape(-1), which, cleaned[place])
     return cloud._replace(points=points, is_image=True)
 
 
@@ -295,3 +295,13 @@ def place_pixels(
                 pixels[0, many], pixels[1, many], pixels[2, many] = i, np.rint(col), np.rint(row)
                 many += 1
     return many
+
+
+@kernel
+def move_points(points: Float32, which: Int32, depth: Float32) -> None:
+    """Move some of the points (3 N,) to where their depths are as given; NaN where that is NaN."""
+    for k in range(which.size):
+        at = 3 * which[k]
+        scale = depth[k] / points[at + 2]
+        for axis in range(3):
+            points[at + axis] *= scale
