@@ -33,9 +33,9 @@ FEWEST, SAMPLE, STRIDE = 1 << 8, 1 << 12, 7919
 FINEST, OFF, MOST_PIXELS, MOST_EMPTY = 1e-4, 0.2, 1 << 12, 16
 """A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
 more pixels from one another, in an image of no more pixels for each of them"""
-AVERAGED, GAP, EVERY = 8, 4, 4
-"""Noise is averaged over every second pixel up to here on either side; pixels so far apart, in each
-of so many rows, show how much of it there is"""
+AVERAGED, GAP, ROWS = 8, 4, 32
+"""Noise is averaged over every second pixel up to here on either side; pixels so far apart in some
+rows, at least so many, show how much of it there is"""
 ALIKE, QUIET = 5, 5e-4
 """Two pixels lie on the surface of the one between them if they differ from it by so many times the
 noise together (1 / m); less noise than this does not matter"""
@@ -143,11 +143,12 @@ def clean(depth: Float32, focal: float) -> Float32:
     inverse, flying = np.reciprocal(cleaned), np.zeros(cleaned.size, np.bool_)
     share = max(FLYING_SHARE, FLYING_PIXELS / focal)
     if (noise := measure_noise(inverse.reshape(wide.shape))) > QUIET:
+        total, many = np.empty((2, inverse.size), np.float32)
         for way in (1, width):
-            total, many = inverse.copy(), np.ones(inverse.size, np.float32)
+            total[:], many[:] = inverse, 1
             for apart in range(2, AVERAGED + 1, 2):
                 add_pairs(inverse, apart * way, ALIKE * noise, total, many)
-            inverse = total / many
+            np.divide(total, many, out=inverse)
         np.reciprocal(inverse, out=cleaned)
     for way in (1, -1, width, -width):
         mark_flying(inverse, way, share, flying)
@@ -157,7 +158,7 @@ def clean(depth: Float32, focal: float) -> Float32:
 
 def measure_noise(inverse: Float32) -> float:
     """Standard deviation of one over the depth (H, W), by how rows bend; 0 where few show it."""
-    some = inverse[::EVERY]
+    some = inverse[:: max(len(inverse) // ROWS, 1)]
     bend = np.abs(some[:, 2 * GAP :] + some[:, : -2 * GAP] - 2 * some[:, GAP:-GAP])
     bend = bend[np.isfinite(bend)]
     return 1.4826 * float(np.median(bend)) / math.sqrt(6) if bend.size >= FEWEST else 0.0
