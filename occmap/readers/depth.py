@@ -11,7 +11,7 @@ import numpy as np
 
 from occmap.errors import DamageError
 from occmap.jit import kernel, step
-from occmap.readers.cloud_messages import stack_points, view_columns
+from occmap.readers.cloud_messages import view_columns
 from occmap.readers.fields import get, get_bytes, get_header, get_row, get_whole, look
 from occmap.types import Bool, Cloud, Float32, Int32
 from occmap.values import as_text, shorten
@@ -119,12 +119,26 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     if depth.shape != (camera.height, camera.width):
         found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
         raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    depth = clean(depth, min(camera.fx, camera.fy))
-    row, column = np.nonzero(depth > 0)
-    z = depth[row, column]
-    x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
-    points = stack_points([x, y, z])
-    return Cloud(*get_header(message), points, None, None, topic, record_ns, is_image=True)
+    cleaned = np.ascontiguousarray(clean(depth, min(camera.fx, camera.fy)))
+    points = np.empty((depth.size, 3), np.float32)
+    many = project(cleaned, camera, points)
+    seen = points[:many]
+    return Cloud(*get_header(message), seen, None, None, topic, record_ns, is_image=True)
+
+
+@kernel
+def project(depth: Float32, camera: Camera, points: Float32) -> int:
+    """Fill points (N, 3) with those of an image (H, W), row after row; return how many it has."""
+    many = 0
+    for row in range(camera.height):
+        up = (row - camera.cy) / camera.fy
+        for col in range(camera.width):
+            z = depth[row, col]
+            if z > 0:
+                x, y = (col - camera.cx) / camera.fx * z, up * z
+                points[many, 0], points[many, 1], points[many, 2] = x, y, z
+                many += 1
+    return many
 
 
 def clean(depth: Float32, focal: float) -> Float32:
