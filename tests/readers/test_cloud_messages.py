@@ -305,7 +305,7 @@ def test_noise_is_averaged_along_a_surface_however_it_leans_and_not_over_its_edg
     alike = 5 * 1.4826 * np.median(np.abs(bends)) / math.sqrt(6)
     expected = average_slowly(average_slowly(seen, alike, 1), alike, 0)
     assert np.isclose(found, expected, rtol=1e-5).mean() > 0.99  # rounding decides on some pairs
-    assert np.std((found - exact)[8:20, 8:30]) < 0.3 * 0.004  # and not beside the image's border
+    assert np.std((found - exact)[8:20, 8:30]) < 0.4 * 0.004  # and not beside the image's border
     np.testing.assert_array_equal(clean(still, 200.0), still)
 
 
