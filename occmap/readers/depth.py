@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.errors import DamageError
-from occmap.jit import kernel, step
+from occmap.jit import kernel
 from occmap.readers.cloud_messages import view_columns
 from occmap.readers.fields import get, get_bytes, get_header, get_row, get_whole, look
 from occmap.types import Bool, Cloud, Float32, Int32
@@ -203,8 +203,8 @@ def mark_flying(inverse: Float32, way: int, share: float, flying: Bool) -> None:
     least_m, least_share = np.float32(FLYING_M), np.float32(share)
     steeper = np.float32(STEEPER * 2 * EDGE / BESIDE)
     for i in range(size):
-        near, far = higher(start[i], before[i]), lower(after[i], end[i])
-        slant = higher(ahead[i] - start[i], end[i] - beyond[i]) * steeper
+        near, far = np.fmax(start[i], before[i]), np.fmin(after[i], end[i])
+        slant = np.fmax(ahead[i] - start[i], end[i] - beyond[i]) * steeper
         depth = 1 / here[i]
         least = max(least_m, least_share * depth)
         is_between = (depth - 1 / near > least) & (1 / far - depth > least)
@@ -230,18 +230,6 @@ def add_pairs(inverse: Float32, apart: int, alike: float, total: Float32, many: 
         is_alike = abs(before[i] - here[i]) + abs(after[i] - here[i]) < most
         totals[i] += before[i] + after[i] if is_alike else np.float32(0)
         counts[i] += np.float32(2) if is_alike else np.float32(0)
-
-
-@step
-def higher(a: float, b: float) -> float:
-    """The higher of two numbers, or the one that is not NaN."""
-    return b if b > a or np.isnan(a) else a
-
-
-@step
-def lower(a: float, b: float) -> float:
-    """The lower of two, likewise."""
-    return b if b < a or np.isnan(a) else a
 
 
 def clean_cloud(cloud: Cloud) -> Cloud:

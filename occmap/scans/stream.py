@@ -184,10 +184,8 @@ def find_end(batch: ScanBatch) -> str:
     beams = batch.ranges.shape[1]
     if beams < FEWEST_BEAMS or stated in {0.0, start} or not math.isfinite(stated):
         return ""
-    last = start + step * (beams - 1)
-    if abs(math.remainder(last - stated, math.tau)) <= max(BEAMS_OFF, SHARE_OFF * beams) * abs(
-        step
-    ):
+    last, most = start + step * (beams - 1), max(BEAMS_OFF, SHARE_OFF * beams) * abs(step)
+    if abs(math.remainder(last - stated, math.tau)) <= most:
         return ""
     angles = step, start, last, stated, (stated - start) / (beams - 1)
     every, first, end, told, fitting = (f"{math.degrees(each):.4g} deg" for each in angles)
@@ -312,7 +310,8 @@ class Drive:
             selector.see_batch(batch)
             if self._middle_m[batch.topic] > FAR_M:
                 self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
-            self._ends[batch.topic].add(find_end(batch))
+            if len(ends := self._ends[batch.topic]) <= 1:
+                ends.add(find_end(batch))
             if oddity := find_oddity(batch):
                 self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
