@@ -15,11 +15,11 @@ from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import GridSpec
 from occmap.types import Kind, Rays, Update
-from tests.bench import drives, peers, people, quality
+from tests.bench import peers, people, quality
 from tests.bench.__main__ import Bench
 from tests.bench.engine import check_equal
 from tests.bench.limits import Row
-from tests.bench.measuring import Times, take_in_turn
+from tests.bench.measuring import Times
 from tests.bench.plans import cast_scans
 from tests.bench.processes import run
 from tests.bench.quality import DEFAULT
@@ -58,18 +58,6 @@ def test_ratios_are_taken_within_rounds() -> None:
     times = Times({"mine": [2.0, 3.0, 40.0], "base": [1.0, 2.0, 10.0]})
     assert times.median("mine") == 3.0
     assert times.ratio("mine", "base") == 2.0
-
-
-def test_rounds_turn_round_and_the_first_is_not_counted() -> None:
-    asked: list[str] = []
-
-    def answer(name: str) -> float:
-        asked.append(name)
-        return float(len(asked))
-
-    times = take_in_turn({name: lambda name=name: answer(name) for name in "ab"}, 2)  # type: ignore[misc]
-    assert asked == ["a", "b", "b", "a", "a", "b"]
-    assert times.seconds == {"a": [4.0, 5.0], "b": [3.0, 6.0]}
 
 
 def test_a_process_has_its_own_peak_memory() -> None:
@@ -187,14 +175,6 @@ def test_the_walk_finds_the_first_occupied_cell_to_two_cells(
     assert quality.walk(draw_map("...."), [out_of_the_map]).tolist() == [[2, 0]]
 
 
-def test_a_lead_is_measured_scan_by_scan() -> None:
-    """Of 10 beams each: ahead by 2, 1 and 0 of them."""
-    ours, theirs = (np.array([(10, n) for n in near], float) for near in ((9, 8, 5), (7, 7, 5)))
-    lead, error = quality.measure_lead(ours, theirs)
-    assert lead == pytest.approx(3 / 30)
-    assert error == pytest.approx(0.1 / math.sqrt(3))
-
-
 def test_the_default_keeps_what_stands_and_loses_what_stood_there_once(tmp_path: Path) -> None:
     rules = {"default": DEFAULT, "two visits": replace(DEFAULT, min_passes=2)}
     fates = people.judge(people.Scene(2, boxes=True), tmp_path, rules)
@@ -202,10 +182,3 @@ def test_the_default_keeps_what_stands_and_loses_what_stood_there_once(tmp_path:
     assert fates["default"].removed >= 0.8
     assert fates["two visits"].kept < fates["default"].kept
     assert fates["two visits"].removed > fates["default"].removed
-
-
-def test_drives_are_marked_beyond_their_limits_and_stand_beside_the_rules_of_others() -> None:
-    found = {"edge": 97.99, "danger": 4.0, "phantom": 0.41, "free": 97.5, "unknown": 1.0}
-    assert drives.mark(found) == ["97.99 !", "4.00", "0.41 !", "97.50"]
-    text = "Measured:\n\n| rule | a |\n|---|---|\n| voxels | 96 / 10 / 8 |\n\n| what if | b |\n"
-    assert drives.list_others(text) == ["| rule | a |", "|---|---|", "| voxels | 96 / 10 / 8 |"]

@@ -280,15 +280,12 @@ def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
 
 def average_slowly(inverse: Float64, alike: float, axis: int) -> Float64:
     even = inverse.copy()
-    for at in np.ndindex(*inverse.shape):
-        here, size = np.array(at), inverse.shape[axis]
-        line = np.moveaxis(inverse, axis, 0)[:, here[1 - axis]]
-        values, middle = [inverse[at]], here[axis]
-        for before, after in [(middle - apart, middle + apart) for apart in (2, 4, 6, 8)]:
-            if before >= 0 and after < size:
-                ends = line[[before, after]]
-                values += list(ends) if np.abs(ends - inverse[at]).sum() < alike else []
-        even[at] = np.mean(values)
+    for row, col in np.ndindex(*inverse.shape):
+        line, at = (inverse[row], col) if axis else (inverse[:, col], row)
+        inside = [apart for apart in (2, 4, 6, 8) if apart <= at < len(line) - apart]
+        pairs = [line[[at - apart, at + apart]] for apart in inside]
+        alikes = [pair for pair in pairs if np.abs(pair - line[at]).sum() < alike]
+        even[row, col] = np.mean([line[at], *np.ravel(alikes)])
     return even
 
 
