@@ -10,7 +10,6 @@ import re
 import shutil
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -507,10 +506,6 @@ def test_explain_gives_what_the_command_prints(halves: Path) -> None:
             occmap.explain(path, wrong, 0)  # type: ignore[arg-type]
         with pytest.raises(UsageError, match=f"`resolution` is {wrong!r}; give a number"):
             occmap.BuildOptions(resolution=wrong)  # type: ignore[arg-type]
-
-
-def test_the_version_is_that_of_the_package() -> None:
-    assert occmap.__version__ == version("occmap")
 
 
 def test_the_error_in_the_page_about_python_is_as_printed() -> None:

@@ -1,6 +1,5 @@
 """The benchmark measures what it says: right ranges, equal counts, rules of peers by hand."""
 
-import json
 import math
 import sys
 from collections.abc import Callable, Mapping
@@ -16,9 +15,7 @@ from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import GridSpec
 from occmap.types import Kind, Rays, Update
 from tests.bench import peers, people, quality
-from tests.bench.__main__ import Bench
 from tests.bench.engine import check_equal
-from tests.bench.limits import Row
 from tests.bench.measuring import Times
 from tests.bench.plans import cast_scans
 from tests.bench.processes import run
@@ -65,12 +62,6 @@ def test_a_process_has_its_own_peak_memory() -> None:
     usage = run([sys.executable, "-c", "print(len(bytearray(30 << 20)))"])
     assert usage.output == f"{30 << 20}\n"
     assert 30 << 20 < usage.peak_bytes < held.nbytes
-
-
-def test_rows_say_whether_their_limit_is_met_in_json_too() -> None:
-    rows = [Row("", 0.5, value, "") for value in (0.5, 0.6, None)]
-    told = json.loads(Bench(Path(), rows=rows).to_json())["rows"]
-    assert [row["verdict"] for row in told] == ["met", "NOT MET", "not measured"]
 
 
 SCAN_PEERS = sorted(peers.SCAN_RULES)

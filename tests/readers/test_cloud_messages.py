@@ -294,9 +294,8 @@ def test_noise_is_averaged_along_a_surface_however_it_leans_and_not_over_its_edg
     exact = 0.5 + 0.003 * row + 0.001 * col + 0.1 * ((row > 20) & (col > 30))
     noise = np.random.default_rng(4).normal(size=exact.shape)
 
-    seen = exact + 0.004 * noise
+    still, seen = (1 / (exact + 0.0002 * noise)).astype(np.float32), exact + 0.004 * noise
     found = 1 / clean((1 / seen).astype(np.float32), 200.0)
-    still = (1 / (exact + 0.0002 * noise)).astype(np.float32)
 
     bends = [seen[:, at - 4] + seen[:, at + 4] - 2 * seen[:, at] for at in range(4, 56)]
     alike = 5 * 1.4826 * np.median(np.abs(bends)) / math.sqrt(6)
