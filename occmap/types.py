@@ -169,8 +169,8 @@ class Cloud(NamedTuple):
     record_ns: int = 0
     times: str = ""
     """How the times of points were read; empty where they have none"""
-    is_image: bool | None = False
-    """Whether they are pixels of a depth camera, cleaned; None: this is to be found out"""
+    may_be_image: bool = False
+    """Whether they may be pixels of a depth camera that are still to be cleaned"""
 
     @property
     def time_increment(self) -> float:

@@ -125,7 +125,7 @@ def make_cloud(
             offset_ns, found = find_offsets(columns[name], points, header[0])
             times = f"{name}, {found}" if found else ""
             return Cloud(*header, points, offset_ns, None, topic, record_ns, times)
-    return Cloud(*header, points, None, None, topic, record_ns, is_image=None)
+    return Cloud(*header, points, None, None, topic, record_ns, may_be_image=True)
 
 
 def stack_points(axes: Sequence[NDArray[Any]]) -> Float32:

@@ -36,9 +36,11 @@ more pixels from one another, in an image of no more pixels for each of them"""
 AVERAGED, GAP, ROWS = 8, 4, 32
 """Noise is averaged over every second pixel up to here on either side; pixels so far apart in some
 rows, at least so many, show how much of it there is"""
-ALIKE, QUIET = 5, 5e-4
+ALIKE, QUIET, LOUDEST = 5, 5e-4, 0.01
 """Two pixels lie on the surface of the one between them if they differ from it by so many times the
-noise together (1 / m); less noise than this does not matter"""
+noise together (1 / m); less noise than this does not matter, and no camera has more"""
+NEAREST_M = 1e-3
+"""Nearer than this is nothing"""
 MARGIN = max(RIM, AVERAGED)
 NOTHING = np.float32(np.nan)
 
@@ -86,7 +88,8 @@ def convert_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> C
     fields = {"z": (kind, 0)}
     steps = step, np.dtype(kind).itemsize
     depth = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)["z"]
-    depth = depth.reshape(rows, width) * np.float32(unit)
+    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
+        depth = depth.reshape(rows, width) * np.float32(unit)
     return _project(camera, depth, message, topic, record_ns)
 
 
@@ -122,8 +125,7 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     cleaned = np.ascontiguousarray(clean(depth, min(camera.fx, camera.fy)))
     points = np.empty((depth.size, 3), np.float32)
     many = project(cleaned, camera, points)
-    seen = points[:many]
-    return Cloud(*get_header(message), seen, None, None, topic, record_ns, is_image=True)
+    return Cloud(*get_header(message), points[:many], None, None, topic, record_ns)
 
 
 @kernel
@@ -147,11 +149,11 @@ def clean(depth: Float32, focal: float) -> Float32:
     Parameters
     ----------
     depth
-        m; 0 or not finite where nothing came back.
+        m; below `NEAREST_M` or not finite where nothing came back.
     focal
         How many pixels are a metre at 1 m.
     """
-    seen = np.where((depth > 0) & (depth < np.inf), depth, NOTHING)
+    seen = np.where((depth >= NEAREST_M) & (depth < np.inf), depth, NOTHING)
     wide = np.pad(seen, MARGIN, constant_values=NOTHING)
     width, cleaned = wide.shape[1], wide.reshape(-1)
     inverse, flying = np.reciprocal(cleaned), np.zeros(cleaned.size, np.bool_)
@@ -171,11 +173,15 @@ def clean(depth: Float32, focal: float) -> Float32:
 
 
 def measure_noise(inverse: Float32) -> float:
-    """Standard deviation of one over the depth (H, W), by how rows bend; 0 where few show it."""
+    """Standard deviation of one over the depth (H, W), by how rows bend; 0 where few show it.
+
+    Where most of them bend at edges, as of slats, it is `LOUDEST` at most.
+    """
     some = inverse[:: max(len(inverse) // ROWS, 1)]
     bend = np.abs(some[:, 2 * GAP :] + some[:, : -2 * GAP] - 2 * some[:, GAP:-GAP])
     bend = bend[np.isfinite(bend)]
-    return 1.4826 * float(np.median(bend)) / math.sqrt(6) if bend.size >= FEWEST else 0.0
+    noise = 1.4826 * float(np.median(bend)) / math.sqrt(6) if bend.size >= FEWEST else 0.0
+    return min(noise, LOUDEST)
 
 
 # Each loop runs over slices side by side, so that a processor takes many pixels at once.
@@ -238,7 +244,7 @@ def clean_cloud(cloud: Cloud) -> Cloud:
     It looks along z, and its pixels are even steps of x / z and of y / z.
     """
     points = cloud.points
-    if cloud.is_image is not None or len(points) < FEWEST:
+    if not cloud.may_be_image or len(points) < FEWEST:
         return cloud
     if (points[:: len(points) // 64, 2] < 0).any():  # as nearly all others have
         return cloud
@@ -261,7 +267,7 @@ def clean_cloud(cloud: Cloud) -> Cloud:
     depth.reshape(-1)[place] = points[which, 2]
     cleaned = clean(depth, 1 / max(across[1], down[1])).reshape(-1)
     move_points(points.reshape(-1), which, cleaned[place])
-    return cloud._replace(points=points, is_image=True)
+    return cloud._replace(points=points)
 
 
 def find_step(slopes: Float32) -> tuple[float, float] | None:

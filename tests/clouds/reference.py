@@ -224,10 +224,9 @@ class SlowEngine:
                 above = self.pass_over(cell, posed.position[0, 2], apart, seen)
                 if above < robot:
                     (low if above < robot * 5 / 8 else high).add(cell)
-        hit, (cloud,) = {each.cell for each in hits}, posed.batch.clouds or ()
+        hit = {each.cell for each in hits}
         for cell in hit:
-            is_sure = cell in low and not cloud.is_image
-            self.hits[cell] += weigh(cell, (start[0], start[1])) if is_sure else 1
+            self.hits[cell] += weigh(cell, (start[0], start[1])) if cell in low else 1
         for cell in (low | free) - hit:
             self.misses[cell] += weigh(cell, (start[0], start[1]))
         for cell in high - low - free - hit:

@@ -102,7 +102,6 @@ def drive(
     clouds: int = 30,
     sensor_m: float = SENSOR_M,
     rays: Float64 | None = None,
-    is_image: bool = False,
 ) -> list[PosedScans]:
     """Drive through the middle of a room, with a sensor so high above its floor.
 
@@ -121,7 +120,7 @@ def drive(
         which = np.arange(len(ends)) * len(mounts) // len(ends)
         points = np.einsum("nji,nj->ni", np.array(mounts)[which], ends - origin)
         offset_ns = which * 1_000_000 if len(mounts) > 1 else None
-        cloud = Cloud(number, "lidar", points.astype(np.float32), offset_ns, is_image=is_image)
+        cloud = Cloud(number, "lidar", points.astype(np.float32), offset_ns)
         made.append(place(cloud, origin, np.array(mounts)))
     return made
 

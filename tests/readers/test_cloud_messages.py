@@ -303,6 +303,8 @@ def test_noise_is_averaged_along_a_surface_however_it_leans_and_not_over_its_edg
     assert np.isclose(found, expected, rtol=1e-5).mean() > 0.99  # rounding decides on some pairs
     assert np.std((found - exact)[8:20, 8:30]) < 0.4 * 0.004  # and not beside the image's border
     np.testing.assert_array_equal(clean(still, 200.0), still)
+    slats = np.where(col % 8 < 4, 1.0, 5.0).astype(np.float32)
+    np.testing.assert_allclose(clean(slats, 200.0), slats, rtol=1e-6)
 
 
 def test_points_of_a_camera_in_any_order_are_its_pixels(tmp_path: Path) -> None:

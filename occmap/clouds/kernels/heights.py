@@ -48,8 +48,6 @@ class Cloud(NamedTuple):
     """(M, 3, 4) from the points' frame to the map"""
     origin: Float64
     """(3,) m, where the sensor was in the map"""
-    is_image: bool
-    """Whether a depth camera saw it"""
 
 
 class Histogram(NamedTuple):
@@ -303,8 +301,7 @@ def list_clouds(posed: PosedScans) -> Iterator[Cloud]:
     middle = place[:, place.shape[1] // 2, :, 3]
     origins = np.ascontiguousarray(middle if posed.origin is None else posed.origin)
     for cloud, poses, origin in zip(posed.batch.clouds or (), place, origins, strict=True):
-        points, which = pack_points(cloud.points), find_moments(cloud, len(poses))
-        yield Cloud(points, which, poses, origin, bool(cloud.is_image))
+        yield Cloud(pack_points(cloud.points), find_moments(cloud, len(poses)), poses, origin)
 
 
 def pack_points(points: Float32) -> Float32:

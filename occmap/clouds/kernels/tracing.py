@@ -26,8 +26,7 @@ LOW, HIT, UNKNOWN, HIGH = 1, 2, 4, 8
 """Bits of a cell in one cloud: what looks at it is a beam `LOW` over its ground, or a `HIGH` one;
 `UNKNOWN`, which stays, is that it has no ground."""
 FAR_WEIGHT = NEAR_WEIGHT // 4
-"""What a cloud weighs in cells far away, in those that only high beams look at, and as a hit of a
-depth camera: its pixels are so many that each look at a thing hits it"""
+"""What a cloud weighs in cells far away, and in those that only high beams look at"""
 LOW_SHARE = 5 / 8
 """Beams that pass over a cell higher than this share of the robot's height say little of it"""
 SECTORS_OF_QUARTER = 180
@@ -269,7 +268,7 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     free_floor(canvas, room)
     look_under(view, canvas, room)
     clear_bearings(view, canvas, room)
-    count_looks(view, cloud.is_image, canvas, room)
+    count_looks(view, canvas, room)
 
 
 @kernel
@@ -510,7 +509,7 @@ def clear_bearings(view: View, canvas: Canvas, room: Room) -> None:
 
 
 @step
-def count_looks(view: View, is_image: bool, canvas: Canvas, room: Room) -> None:
+def count_looks(view: View, canvas: Canvas, room: Room) -> None:
     """Count what the cloud says of the cells that it touched, and forget it."""
     state, near = canvas.state, NEAR_M / canvas.resolution
     for i in range(room.used[TOUCHED]):
@@ -519,10 +518,8 @@ def count_looks(view: View, is_image: bool, canvas: Canvas, room: Room) -> None:
         row, col = locate(canvas.tiles, at)
         up, right = row - view.row, col - view.col
         is_near = up * up + right * right < near * near
-        is_hit = state[at] & HIT != 0
-        is_sure = is_near and state[at] & LOW and not (is_hit and is_image)
-        weight = NEAR_WEIGHT if is_sure else FAR_WEIGHT
-        layer = 2 * tile + (0 if is_hit else 1)
+        weight = NEAR_WEIGHT if is_near and state[at] & LOW else FAR_WEIGHT
+        layer = 2 * tile + (0 if state[at] & HIT else 1)
         canvas.counts[layer * CELLS + inside] += weight
         state[at] = 0
 
