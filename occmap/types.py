@@ -134,8 +134,6 @@ class Scan(NamedTuple):
     """The sensor in the map frame; None: the log does not state poses beside its scans."""
     topic: Text = ""
     """The stream in its log that the scan came from."""
-    angle_max: Number = 0.0
-    """Bearing of the last beam by its driver, which only shows faults; 0: it is not stated."""
     record_ns: Stamp = UNSTATED
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
@@ -261,13 +259,11 @@ class ScanBatch:
     """The stream in its log that the scans came from."""
     clouds: tuple[Cloud, ...] | None = None
     """S clouds of points; then a beam stands for a moment of a cloud, and its range is 0"""
-    angle_max: float = 0.0
 
     @classmethod
     def like(cls, scan: Scan, **stacked: Any) -> Self:
         """Make a batch of scans that differ from one only in times, ranges and poses."""
-        angles = "angle_min", "angle_increment", "angle_max"
-        shared = "frame", *angles, "range_min", "range_max", "topic"
+        shared = "frame", "angle_min", "angle_increment", "range_min", "range_max", "topic"
         return cls(**{name: getattr(scan, name) for name in shared}, **stacked)
 
     @property
@@ -279,7 +275,6 @@ class ScanBatch:
         """The single scans."""
         shape, limits = (self.angle_min, self.angle_increment), (self.range_min, self.range_max)
         first = Scan(0, self.frame, *shape, np.empty(0, np.float32), *limits, topic=self.topic)
-        first = first._replace(angle_max=self.angle_max)
         poses = [None] * self.scans if self.pose is None else map(Pose._make, self.pose.tolist())
         times = self.stamp_ns.tolist(), self.record_ns.tolist()
         rows = zip(*times, self.ranges.copy(), self.time_increment.tolist(), poses, strict=True)

@@ -5,7 +5,7 @@ import math
 import re
 from collections import Counter
 from dataclasses import replace
-from itertools import cycle, product
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -328,15 +328,6 @@ def test_millimetres_are_told_by_check_and_by_a_build_that_fails_or_does_not(
     for found in texts:
         whole = " ".join(found)
         assert {words: words in whole for words in expected} == expected
-
-
-def test_ranges_that_a_filter_thinned_are_told_unless_their_number_varies(tmp_path: Path) -> None:
-    for most in (0, 2):
-        lost = cycle((0, most))
-        thinned = Drive(spoil=lambda measured: measured[next(lost) :: 2])  # noqa: B023  at once
-        found = look(write_bag(tmp_path / f"{most}.bag", thinned, **MOUNTED))
-        told = sum("if a filter thinned them" in text for text in found.warnings)
-        assert (told, bool(found.command)) == ((0, True) if most else (1, False))
 
 
 def test_millimetres_are_told_where_the_limit_is_in_metres(tmp_path: Path) -> None:

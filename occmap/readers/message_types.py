@@ -138,9 +138,8 @@ def convert_multi_echo(echo: Echo, message: Any, topic: str, record_ns: int) -> 
 def _make_scan(message: Any, ranges: Any, topic: str, record_ns: int) -> Scan:
     angles = get(message, "angle_min"), get(message, "angle_increment")
     limits = get(message, "range_min"), get(message, "range_max")
-    step, last = get(message, "time_increment"), look(message, "angle_max")
-    last = last if isinstance(last, float) else 0.0
-    return Scan(*get_header(message), *angles, ranges, *limits, step, None, topic, last, record_ns)
+    increment = get(message, "time_increment")
+    return Scan(*get_header(message), *angles, ranges, *limits, increment, None, topic, record_ns)
 
 
 def convert_foxglove_scan(message: Any, topic: str, record_ns: int) -> Scan:

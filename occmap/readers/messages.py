@@ -204,7 +204,7 @@ def make_parser(channel: Channel) -> Parser:
 
 _LITTLE_ENDIAN = b"\0\1"
 """What a CDR message begins with whose numbers are read so."""
-_OF_ALL = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
+_OF_ALL = ("angle_min", "angle_increment", "range_min", "range_max")
 """The numbers that are the same in all scans of a run"""
 
 

@@ -173,26 +173,6 @@ def find_oddity(batch: ScanBatch) -> str:
     return ""
 
 
-FEWEST_BEAMS, BEAMS_OFF, SHARE_OFF = 16, 1.5, 0.01
-"""So many beams end so many off `angle_max` at most, or such a share of all: some drivers count one
-too many, and those of lasers whose scans have more beams or fewer may keep it as it is"""
-
-
-def find_end(batch: ScanBatch) -> str:
-    """Say that beams do not end where their driver says; "" where they do, it may be a turn off."""
-    start, step, stated = batch.angle_min, batch.angle_increment, batch.angle_max
-    beams = batch.ranges.shape[1]
-    if beams < FEWEST_BEAMS or stated in {0.0, start} or not math.isfinite(stated):
-        return ""
-    last, most = start + step * (beams - 1), max(BEAMS_OFF, SHARE_OFF * beams) * abs(step)
-    if abs(math.remainder(last - stated, math.tau)) <= most:
-        return ""
-    angles = step, start, last, stated, (stated - start) / (beams - 1)
-    every, first, end, told, fitting = (f"{math.degrees(each):.4g} deg" for each in angles)
-    found = f"{beams} beams every {every} from {first} end at {end}, and angle_max says {told}"
-    return f"{found}: if a filter thinned them ({fitting} would be right), map what it filters"
-
-
 FAR_M = 200.0
 """No laser that measures metres has half of its ranges beyond it."""
 
@@ -235,8 +215,6 @@ class Drive:
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._first_ns = 0
         self._odd: dict[tuple[str, str], None] = {}
-        self._ends: defaultdict[str, set[str]] = defaultdict(set)
-        """What is odd about the last beam of the scans of each topic"""
         self._middle_m: defaultdict[str, float] = defaultdict(lambda: math.inf)
         """The median range of each topic, of the batch where it is lowest"""
 
@@ -310,8 +288,6 @@ class Drive:
             selector.see_batch(batch)
             if self._middle_m[batch.topic] > FAR_M:
                 self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
-            if len(ends := self._ends[batch.topic]) <= 1:
-                ends.add(find_end(batch))
             if oddity := find_oddity(batch):
                 self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
@@ -326,9 +302,7 @@ class Drive:
 
     def list_doubts(self) -> Iterator[Doubt]:
         """Say of which topics angles are odd, and where ranges or places can hardly be metres."""
-        ends = [(topic, *it) for topic, it in self._ends.items() if len(it) == 1]  # in all alike
-        odd = (*self._odd, *ends)
-        yield from ((topic, Concern(oddity, command="")) for topic, oddity in odd if oddity)
+        yield from ((topic, Concern(oddity, command="")) for topic, oddity in self._odd)
         for topic in (topic for topic, it in self._middle_m.items() if FAR_M < it < math.inf):
             found = f"most ranges are above {FAR_M:g} m: ranges are metres"
             yield topic, Concern(f"{found}; are these millimetres or centimetres?", command="")

@@ -108,7 +108,7 @@ def test_scans_of_a_run_are_those_read_one_by_one(store: Typestore, data: st.Dat
 
 
 @both
-@pytest.mark.parametrize("changing", ["", "scan_time"])
+@pytest.mark.parametrize("changing", ["", "angle_max", "scan_time"])
 def test_what_nobody_uses_may_differ_within_a_run(
     store: Typestore, changing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

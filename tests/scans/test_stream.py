@@ -16,7 +16,7 @@ from occmap.options import BuildOptions, Selection
 from occmap.posing import DropReason, PosingOptions, Stamps
 from occmap.readers import open_log
 from occmap.scans.mounts import open_drive
-from occmap.scans.stream import Selector, find_end, find_oddity, stack
+from occmap.scans.stream import Selector, find_oddity, stack
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import ReturnCounts, ReturnOptions
 from occmap.sensor.bands import RangeLimits
@@ -152,17 +152,6 @@ def test_beams_at_the_end_that_are_empty_do_not_go_round(beams: int, is_odd: boo
     ranges = np.full((2, 400), np.nan)
     ranges[1, :beams] = 2.0
     assert ("are these degrees?" in find_oddity(make_batch(ranges))) == is_odd
-
-
-def test_beams_that_end_elsewhere_than_stated_are_told() -> None:
-    """They are a degree apart, from -180 on, so that 180 of them end at -1."""
-    fine = [(180, end) for end in (-1, 0, -180, math.nan, math.inf)]
-    fine += [(15, 90), (360, 180), (360, -181), (360, 177)]
-    odd = [(180, 180, "2.011 deg"), (180, 90, "1.508 deg"), (180, -4, "0.9832 deg")]
-    for beams, end, right in [*((*each, "") for each in fine), *odd]:
-        turn = {"angle_min": -math.pi, "angle_increment": math.radians(1)}
-        told = find_end(make_batch(np.ones((1, beams)), **turn, angle_max=math.radians(end)))
-        assert (right in told, bool(right)) == (True, bool(told))
 
 
 def see(scans: range, beams: int = 3, x: float = 0.0) -> Rays:
