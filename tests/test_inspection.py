@@ -777,8 +777,10 @@ def test_the_lidar_of_kittis_calibration_is_in_the_line_if_poses_are_of_a_camera
     rows = follow_hall()
     np.savetxt(here / "times.txt", rows[:, 0], fmt="%.6f")
     (here / "calib.txt").write_text("P0: 7e2\nTr: 0 -1 0 -0.01 0 0 -1 -7.0e-02 1 0 0 -0.27\n")
-    for axes, mount in ((FROM_CAMERA, ("--sensor-pose", "-0.27,0.01,0")), (np.eye(3), ())):
+    for axes, mount in ((np.eye(3), ()), (FROM_CAMERA, ("--sensor-pose", "-0.27,0.01,0"))):
         place, turns = rows[:, 1:4] @ axes, axes.T @ rotate_by(rows[:, 4:]) @ axes
         np.savetxt("poses.txt", np.dstack([turns, place]).reshape(-1, 12))
         found = look(HALL, BuildOptions(posing=PosingOptions(poses="poses.txt")))
         assert found.command[3:-2] == ("--poses", "poses.txt", *mount)
+    own = look(HALL, BuildOptions(posing=PosingOptions(poses="poses.txt", base_frame="lidar")))
+    assert "--sensor-pose" not in own.command

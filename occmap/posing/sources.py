@@ -96,7 +96,8 @@ def gather(
             frame = options.map_frame or trajectory.parent
             body = trajectory.child if trajectory.child in tree else ""  # it may have another name
             trajectory = replace(trajectory, parent=frame, child=body)
-            if options.sensor_pose is None and any(OF_CAMERA in note for note in notes):
+            is_said = given or options.sensor_pose or options.base_frame
+            if not is_said and any(OF_CAMERA in note for note in notes):
                 lidar = find_lidar(options.files[0])
     placed = {edge.child for edge in edges if edge.source is Source.TF}
     overruled = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)

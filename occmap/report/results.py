@@ -318,9 +318,12 @@ def name_frames(frames: Mapping[str, str | None]) -> str:
     frames
         By log; None where its poses are stated, in no frame.
     """
-    known = {frame: log for log, frame in frames.items() if frame}
-    named = ", ".join(f"{log} in {frame}" for frame, log in known.items())
-    return f"the logs are mapped in different frames: {named}" if len(known) > 1 else ""
+    first: dict[str, str] = {}
+    for log, frame in frames.items():
+        if frame:
+            first.setdefault(frame, log)
+    named = ", ".join(f"{log} in {frame}" for frame, log in first.items())
+    return f"the logs are mapped in different frames: {named}" if len(first) > 1 else ""
 
 
 def doubt_agreement(agreement: float | None, hits: str = "the hits") -> str:

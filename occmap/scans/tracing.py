@@ -170,22 +170,25 @@ class Reading:
     Raises
     ------
     OccmapError
-        A log cannot be read, or as `settle_update` and `open_drive`.
+        A log cannot be read.
     """
 
     def __init__(self, paths: Sequence[Path], options: BuildOptions, progress: Progress) -> None:
-        self.options, logs = options, [open_log(path, options.reading) for path in paths]
-        updates = (settle_update([log], options).update for log in logs)
-        self._of_clouds = dict(zip(updates, logs, strict=True)).get(Update.CLOUD)
-        self.total = sum(count_scans(log, options.selection.topics) for log in logs)
+        self.options, self._logs = options, [open_log(path, options.reading) for path in paths]
+        self.total = sum(count_scans(log, options.selection.topics) for log in self._logs)
         """Of what progress is told; more may be added to it"""
-        names = [str(log.path) for log in logs]
+        names = [str(log.path) for log in self._logs]
         self.tally = Tally(lambda scans: progress(scans, self.total), logs=names)
-        self._drives = [open_drive(log, options) for log in logs]
 
     def list_drives(self) -> Iterator[Drive]:
-        """Give the drive of each log, which is read before the next one is asked for."""
-        for drive in self._drives:
+        """Give the drive of each log, which is read before the next one is asked for.
+
+        Raises
+        ------
+        OccmapError
+            As `open_drive`, of any of them.
+        """
+        for drive in [open_drive(log, self.options) for log in self._logs]:
             drive.foresee()
             yield drive
             self.tally.note(drive.log.path, [*drive.list_notes(), *drive.log.notes])
@@ -198,10 +201,11 @@ class Reading:
         OccmapError
             As a build, also where no scan can be used, or a log holds clouds: these have no beams.
         """
-        if self._of_clouds:
-            found = "holds clouds of points, and maps are scored by the beams of laser scans"
-            fix = "give a log of scans, or choose with `topics`"
-            raise UsageError(found, where=self._of_clouds.path, fix=fix)
+        for log in self._logs:
+            if settle_update([log], self.options).update is Update.CLOUD:
+                found = "holds clouds of points, and maps are scored by the beams of laser scans"
+                fix = "give a log of scans, or choose with `topics`"
+                raise UsageError(found, where=log.path, fix=fix)
         for drive in self.list_drives():
             with name_log(drive.log.path):
                 for seen in read_seen(drive, self.tally):

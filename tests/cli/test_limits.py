@@ -159,6 +159,7 @@ def test_a_recording_that_nothing_can_read_is_damage_to_its_folder(here: Path, l
     assert told.err.count("lost.bag: passed over") == 1
     noted = told.json["warnings" if line.startswith("check") else "damage"]
     assert noted[0].startswith("day/lost.bag: passed over, though named like a recording")
+    assert line != "check day" or "lost.bag" not in str(told.json["notes"])
 
 
 def test_a_log_that_cannot_be_mapped_weighs_more_than_a_limit() -> None:
