@@ -18,7 +18,7 @@ from occmap.posing import Concern, PosingOptions, Stamps, frames
 from occmap.posing.chain import Chain, make_chain
 from occmap.posing.frames import Edge, FrameTree, Source, find_moving, find_strangers, last_part
 from occmap.posing.tracks import Track, TrackBuilder, differ
-from occmap.posing.trajectory import OF_CAMERA, find_lidar, read_trajectory
+from occmap.posing.trajectory import find_lidar, read_trajectory
 from occmap.report import count, join_names
 from occmap.types import Moments, PoseBatch, PoseSample
 from occmap.values import name_origin
@@ -91,14 +91,13 @@ def gather(
     poses, trajectory, lidar = _rank(edges), None, None
     if options.poses and of_other is not None:
         named = of_other if options.recording else poses
-        trajectory = _find_trajectory(options, named, notes, moments)
+        trajectory, lidar = _find_trajectory(options, named, notes, moments)
         if options.files:
             frame = options.map_frame or trajectory.parent
             body = trajectory.child if trajectory.child in tree else ""  # it may have another name
             trajectory = replace(trajectory, parent=frame, child=body)
-            is_said = given or options.sensor_pose or options.base_frame
-            if not is_said and any(OF_CAMERA in note for note in notes):
-                lidar = find_lidar(options.files[0])
+        if given or options.sensor_pose or options.base_frame:
+            lidar = None  # the user says it
     placed = {edge.child for edge in edges if edge.source is Source.TF}
     overruled = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
     notes[:0] = [f"the given transform {name} replaces the log's" for name in overruled]
@@ -200,20 +199,23 @@ def _is_intention(topic: str) -> bool:
 
 def _find_trajectory(
     options: PosingOptions, poses: Sequence[Edge], notes: list[str], moments: Moments | None
-) -> Edge:
-    """Take the chosen trajectory: from a file, or by topic; the best where that is not named."""
+) -> tuple[Edge, Concern | None]:
+    """Take the chosen trajectory: from a file, or by topic; the best where that is not named.
+
+    Of a file of a camera's poses, say where the lidar sits on it, too, if that is known.
+    """
     name = options.poses or ""
     recording, topic = options.recording or (None, name)
     if recording is None and Path(name).is_file():
-        poses_of_file = read_trajectory(Path(name), notes, moments)
+        poses_of_file, is_of_camera = read_trajectory(Path(name), notes, moments)
         edges = _build_edges([poses_of_file], Stamps.HEADER, notes)
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)
-        return replace(edges[0], topic=name)
+        return replace(edges[0], topic=name), find_lidar(Path(name)) if is_of_camera else None
     wanted = frames.join_topic(recording, topic) if recording else name
     for edge in poses:
         if not topic or edge.topic.strip("/") == wanted.strip("/"):
-            return edge
+            return edge, None
     if ":" not in name and last_part(name) in TF_TOPICS - {""}:
         fix = "leave out `poses`: without it a scan goes by the transforms of its namespace"
         raise PoseError("transforms are not a topic of poses", where=name, fix=fix)

@@ -114,12 +114,15 @@ TURN = re.compile(r"^(?:.*\b(?:orientation|rotation)[./]|q_(?:\w+_)?)([wxyz])$")
 """What ROS, EuRoC, TUM and Argoverse call the columns of a place and of a quaternion"""
 
 
-def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None) -> PoseBatch:
-    """Read the poses of a body in the map, in file order.
+def read_trajectory(
+    path: Path, notes: list[str], moments: Moments | None = None
+) -> tuple[PoseBatch, bool]:
+    """Read the poses of a body in the map, in file order, and tell if they were a camera's.
 
-    Their `child` is "", for such files do not name the body. Empty lines and lines that start with
-    # are passed over, unless the one above the first pose names columns. A pose with a nan or inf
-    in it stays as it is: trackers write them where they were lost.
+    Those are turned to the axes of a robot. Their `child` is "", for such files do not name the
+    body. Empty lines and lines that start with # are passed over, unless the one above the first
+    pose names columns. A pose with a nan or inf in it stays as it is: trackers write them where
+    they were lost.
 
     Parameters
     ----------
@@ -134,7 +137,10 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     LogError
         The file cannot be read or holds no poses, or a line is not a pose.
     """
-    times, poses = _read_poses(path, notes)
+    times, poses, is_of_camera = _read_poses(path, notes)
+    if is_of_camera:
+        places_and_axes = poses[:, :6].reshape(-1, 2, 3) @ FROM_CAMERA.T
+        poses[:, :6] = places_and_axes.reshape(-1, 6)
     if moments is None:
         times = _read_times(path) if times is None else times
     elif times is None or not moments.is_timed:  # where only the order of the scans is known
@@ -144,11 +150,15 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
         found = f"it holds {len(poses):,} poses, and {counted} {count(len(times), each)}"
         raise LogError(found, where=path, fix="there must be one for each, in the same order")
     stamp_ns = np.array(times, np.int64)
-    return PoseBatch(stamp_ns, stamp_ns, poses, TRAJECTORY_FRAME, "", static=False, topic="")
+    batch = PoseBatch(stamp_ns, stamp_ns, poses, TRAJECTORY_FRAME, "", static=False, topic="")
+    return batch, is_of_camera
 
 
-def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Float64]:
-    """Read the times (ns), where there are any, and poses (N, 7); a first line tells the format."""
+def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Float64, bool]:
+    """Read the times (ns), where there are any, and poses (N, 7), and tell if they are a camera's.
+
+    A first line tells the format.
+    """
     lines, headings = _read_rows(path)
     if len(lines) > 4 and COUNTERS.fullmatch(lines[0][1]):
         fives = [lines[at : at + 5] for at in range(0, len(lines), 5)]
@@ -158,7 +168,7 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     form = next(_parse_lines(path, lines[:1], partial(_find_format, headings)), TUM)
     times, poses = _read_table(path, lines[has_header:], form, notes)
     if form.is_of_matrices:
-        return times, _make_poses(path, poses.reshape(-1, 3, 4), notes)
+        return times, *_make_poses(path, poses.reshape(-1, 3, 4), notes)
     usable = np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)
     if usable.any() and (form is TUM or form is EUROC):
         _refuse_no_rotation(path, poses[usable, 3:])
@@ -167,10 +177,10 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
             place = "first" if form is TUM else "last"
             odd = "the poses turn as no robot does with quaternions in the usual order"
             notes.append(f"{path}: {odd}, so their w is taken to be {place}")
-    if usable.any() and _are_of_camera(poses[usable]):
+    is_of_camera = bool(usable.any()) and _are_of_camera(poses[usable])
+    if is_of_camera:
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
-        poses = _turn_from_camera(poses)
-    return times, poses
+    return times, poses, is_of_camera
 
 
 def _read_table(
@@ -234,16 +244,10 @@ def _are_of_camera(poses: Float64) -> bool:
     return bool(goes_ahead and upright > 0.8 and turned < 0.5)
 
 
-def _turn_from_camera(poses: Float64) -> Float64:
-    place, axis = poses[:, :3] @ FROM_CAMERA.T, poses[:, 3:6] @ FROM_CAMERA.T
-    return np.column_stack([place, axis, poses[:, 6]])
+def _make_poses(path: Path, rows: Float64, notes: list[str]) -> tuple[Float64, bool]:
+    """Make poses (N, 7) of the upper rows (N, 3, 4) of matrices, and tell if they are a camera's.
 
-
-def _make_poses(path: Path, rows: Float64, notes: list[str]) -> Float64:
-    """Make poses (N, 7) of the upper rows (N, 3, 4) of matrices.
-
-    Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
-    are told by where they lead: on the ground only such poses go far along z.
+    Those are told by where they lead: on the ground only such poses go far along z.
     """
     is_finite = np.isfinite(rows).all(axis=(1, 2))
     y, z = (np.ptp(rows[is_finite, axis, 3]) if is_finite.any() else 0.0 for axis in (1, 2))
@@ -252,8 +256,7 @@ def _make_poses(path: Path, rows: Float64, notes: list[str]) -> Float64:
         + (OF_CAMERA if z > y else "those of a robot (x is ahead, z up)")
     )
     rows[~is_finite] = np.nan
-    poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
-    return poses if z <= y else _turn_from_camera(poses)
+    return np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])]), bool(z > y)
 
 
 def find_lidar(path: Path) -> Concern | None:

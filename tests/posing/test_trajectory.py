@@ -20,7 +20,7 @@ from tests.samples import write_csv
 def read(tmp_path: Path, text: str) -> list[PoseSample]:
     path = tmp_path / "poses.txt"
     path.write_text(text, encoding="utf-8", newline="")
-    return read_trajectory(path, []).split()
+    return read_trajectory(path, [])[0].split()
 
 
 def test_tum(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_quaternions_in_another_order_are_told_and_taken(tmp_path: Path) -> None
     of_euroc = "".join(last).replace(" ", ",")  # which has w first
     for text in ("".join(last), header + "".join(first), "".join(first), of_euroc):
         path.write_text(text)
-        turns = read_trajectory(path, notes).pose[:, 3:]
+        turns = read_trajectory(path, notes)[0].pose[:, 3:]
         assert turns == pytest.approx(np.array([(0, 0, z, w) for w, z in halves]))
     assert [note.split()[-1] for note in notes] == ["first", "last"]
 
@@ -285,7 +285,8 @@ def test_kitti_of_a_robot_and_of_a_camera_is_in_a_robots_axes_which_is_told(
     path, notes = tmp_path / "poses.txt", list[str]()
     path.write_text(f"{LEVEL.format(0, 0, 0)} 0 0 0 1\n{line} 0 0 0 1\n")
     (tmp_path / "times.txt").write_text("0.0\n1.036e-01\n")
-    first, second = read_trajectory(path, notes).split()
+    poses, _ = read_trajectory(path, notes)
+    first, second = poses.split()
     (note,) = notes
     assert note.startswith(f"{path}: its poses go {told.format('so they are taken as those of a')}")
     assert (first.stamp_ns, second.stamp_ns) == (0, 103_600_000)
@@ -299,7 +300,7 @@ def test_a_log_of_open3d_has_a_matrix_in_four_lines(tmp_path: Path) -> None:
     rows = "0 0 1\n1 0 0 {}\n0 1 0 5\n0 0 1 0\n0 0 0 1\n"
     path, moments = tmp_path / "poses.log", Moments([7, 8], is_timed=False)
     path.write_text(rows.format(4) + rows.format(6))
-    poses = read_trajectory(path, [], moments)
+    poses, _ = read_trajectory(path, [], moments)
     assert poses.pose[:, :2].tolist() == [[4, 5], [6, 5]]
 
 

@@ -265,7 +265,7 @@ each_text = pytest.mark.parametrize("text", [TUM, KITTI, CSV], ids=["tum", "kitt
 
 def read_poses(folder: Path, text: str, moments: Moments = COUNTED) -> list[PoseSample]:
     (folder / "poses.txt").write_text(text)
-    return read_trajectory(folder / "poses.txt", [], moments).split()
+    return read_trajectory(folder / "poses.txt", [], moments)[0].split()
 
 
 @each_text
