@@ -21,6 +21,7 @@ from occmap.evidence.manifest import BuildRecord
 from occmap.grid import Lattice, tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid, find_unit, unite
 from occmap.options import OPTIONS, BuildOptions
+from occmap.posing import NO_DRIFT
 from occmap.report import HIDDEN, Count, Printed, Share, count, join_names, printed_as
 from occmap.scans import Keep, make_engine, plan_grid
 from occmap.scans.logs import count_scans
@@ -157,11 +158,13 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
         This occmap does not know an option, or a value of it.
     """
     try:
-        # A drift that was found in clouds is told, and then no other one is looked for.
-        values: dict[str, Any] = {"height_drift": {}} if plain.get("update") == Update.CLOUD else {}
+        told: dict[str, Any] = {}
         for name, value in plain.items():
-            values |= value if isinstance(value, dict) else {name: value}
-        return take(BuildOptions, {name: recall(name, value) for name, value in values.items()})
+            told |= value if isinstance(value, dict) else {name: value}
+        values = {name: recall(name, value) for name, value in told.items()}
+        if values.get("update") is Update.CLOUD:  # a drift that was found is told
+            values.setdefault("height_drift", NO_DRIFT)
+        return take(BuildOptions, values)
     except (OccmapError, TypeError, ValueError, OverflowError) as error:
         found = f"the options of a build in it cannot be read ({error})"
         fix = "use the occmap that built it, or build it again"
@@ -186,7 +189,7 @@ def recall(name: str, plain: Any) -> Any:
     elif name == "static_transforms":
         plain = [PoseSample(*[*it[:3], Pose(*it[3]), *it[4:]]) for it in plain]
     elif name == "height_drift":  # only how much it was is kept: it is found again
-        plain = None if plain else "off"
+        plain = "on" if plain else "off"
     return option.read(plain)
 
 

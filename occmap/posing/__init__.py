@@ -17,6 +17,8 @@ from occmap.types import Pose, PoseSample
 Time = TypeVar("Time")
 Drift: TypeAlias = tuple[tuple[int, ...], tuple[int, ...]]
 """Moments (ns), and what is added to the heights of poses then, and in between (mm)"""
+NO_DRIFT: Mapping[str, Drift] = {}
+"""Heights of poses stay as they are, and no drift of theirs is looked for"""
 MAX_OFFSET_S = 4e9
 """The largest offset: from a clock that begins at 0 to any date; two of them fit an int64 of ns."""
 

@@ -26,7 +26,7 @@ from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, name_log
 from occmap.evidence import UNEVEN_SHARE, refuse_other
 from occmap.options import BuildOptions
-from occmap.posing import Drift, measure_drift
+from occmap.posing import NO_DRIFT, Drift, measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.report import Note, join_names
 from occmap.scans import encode_cells
@@ -113,7 +113,7 @@ def settle_ground(count: Count, options: BuildOptions, known: Ground | None) -> 
         _, notes = derive_ground(counted, options.clouds)
         return first._replace(notes=[*notes, *first.notes])
     posing = first.options.posing
-    settled = replace(posing, height_drift=posing.height_drift or {})  # none is looked for again
+    settled = replace(posing, height_drift=posing.height_drift or NO_DRIFT)
     counted = count(replace(first.options, posing=settled), first.ground)
     ground, notes = derive_ground(counted, options.clouds, known, before=first.ground)
     return BuildGround(ground, [*notes, *first.notes], first.options)
