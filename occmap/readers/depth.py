@@ -1,25 +1,15 @@
-"""Images of depth cameras as clouds, without what hangs in the air at edges, and less noisy.
+"""What depth cameras see, without what hangs in the air at edges, and less noisy.
 
-Cameras measure one over the depth, which grows evenly along any plane.
+They measure one over the depth, which grows evenly along any plane. Some drivers write their images
+as clouds: these are told by where their points lie, and are cleaned alike.
 """
 
 import math
-from io import BytesIO
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.errors import DamageError
 from occmap.jit import kernel
-from occmap.readers.cloud_messages import view_columns
-from occmap.readers.fields import get, get_bytes, get_header, get_row, get_whole, look
 from occmap.types import Bool, Cloud, Float32, Int32
-from occmap.values import as_text, shorten
-
-_DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
-"""What depths are written as by encoding, and how many metres one is (REP 118)."""
-_COMPRESSED_HEAD = np.dtype([("form", "<i4"), ("a", "<f4"), ("b", "<f4")])
-"""What compressed_depth_image_transport puts before a PNG."""
 
 FLYING_M, FLYING_SHARE, FLYING_PIXELS = 0.1, 0.03, 10
 """At an edge, a pixel so far (m, this share of its depth, or widths of a pixel there) from both
@@ -28,11 +18,8 @@ EDGE, BESIDE, STEEPER = 2, 3, 2
 """An edge blurs so many pixels; so many more beside them show how a surface slants, and an edge is
 so many times as steep"""
 RIM = EDGE + BESIDE
-FEWEST, SAMPLE, STRIDE = 1 << 8, 1 << 12, 7919
-"""Fewer points do not show if they are pixels; so many do, at steps that are in time with no row"""
-FINEST, OFF, MOST_PIXELS, MOST_EMPTY = 1e-4, 0.2, 1 << 12, 16
-"""A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
-more pixels from one another, in an image of no more pixels for each of them"""
+FEWEST = 1 << 8
+"""Fewer pixels show no noise, and fewer points not if they are pixels"""
 AVERAGED, GAP, ROWS = 8, 4, 32
 """Noise is averaged over every second pixel up to here on either side; pixels so far apart in some
 rows, at least so many, show how much of it there is"""
@@ -43,104 +30,6 @@ NEAREST_M = 1e-3
 """Nearer than this is nothing"""
 MARGIN = max(RIM, AVERAGED)
 NOTHING = np.float32(np.nan)
-
-
-class Camera(NamedTuple):
-    """The pinhole camera of a depth image: pixels a metre at 1 m, and where its axis meets it."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-
-def read_camera(message: Any) -> Camera:
-    """Read a sensor_msgs/CameraInfo; raises DamageError where it is of no pinhole camera."""
-    name = "k" if look(message, "k") is not None else "K"  # in ROS 1
-    k, p = get_row(message, name), get_row(message, name.replace("k", "p").replace("K", "P"))
-    # Depth images are rectified, which P is for; drivers that do not rectify leave it empty.
-    row = p if len(p) == 12 and p[0] else k
-    if len(row) not in {9, 12}:
-        raise DamageError("states no matrix")
-    fx, cx, fy, cy = row[[0, 2, 5, 6] if len(row) == 12 else [0, 2, 4, 5]].tolist()
-    camera = Camera(get_whole(message, "width"), get_whole(message, "height"), fx, fy, cx, cy)
-    if not (math.isfinite(sum(camera)) and min(fx, fy) > 0):
-        raise DamageError("states no focal length")
-    return camera
-
-
-def is_depth(message: Any) -> bool:
-    """Whether an image, or a compressed one, holds depths; raises DamageError."""
-    if look(message, "encoding") is not None:
-        return get(message, "encoding") in _DEPTHS
-    return "compressedDepth" in as_text(get(message, "format"))
-
-
-def convert_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
-    """Convert a sensor_msgs/Image of depths: a point for each pixel that has one."""
-    encoding, order = get(message, "encoding"), ">" if get_whole(message, "is_bigendian") else "<"
-    if encoding not in _DEPTHS:
-        raise DamageError(f"is written as {shorten(encoding)}, which no depth is")
-    kind, unit = _DEPTHS[encoding]
-    rows, width, step = (get_whole(message, name) for name in ("height", "width", "step"))
-    fields = {"z": (kind, 0)}
-    steps = step, np.dtype(kind).itemsize
-    depth = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)["z"]
-    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
-        depth = depth.reshape(rows, width) * np.float32(unit)
-    return _project(camera, depth, message, topic, record_ns)
-
-
-def convert_compressed_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
-    """Convert a sensor_msgs/CompressedImage, as compressed_depth_image_transport writes it.
-
-    Depths that were floats lie in the PNG as a / depth + b, and 0 where there is none.
-    """
-    from PIL import Image  # noqa: PLC0415  late: few logs need it
-
-    data, head = get_bytes(message, "data"), _COMPRESSED_HEAD
-    try:
-        _, a, b = np.frombuffer(data, head, 1)[0].tolist()
-        with Image.open(BytesIO(data[head.itemsize :].tobytes()), formats=["PNG"]) as image:
-            packed = np.asarray(image).astype(np.float32)
-    except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        form = f"where `format` is {shorten(get(message, 'format'))}"
-        raise DamageError(f"holds no PNG of depths, {form} ({type(error).__name__})") from None
-    if packed.ndim != 2:
-        raise DamageError("holds a PNG of colours, which no depth is")
-    depth = packed * np.float32(1e-3)
-    if get(message, "format").startswith("32FC1"):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = np.where(packed > 0, np.float32(a) / (packed - np.float32(b)), 0)
-    return _project(camera, depth, message, topic, record_ns)
-
-
-def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns: int) -> Cloud:
-    """Put the pixels of an image (H, W), of depths in m, where they lie in the optical frame."""
-    if depth.shape != (camera.height, camera.width):
-        found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
-        raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    cleaned = np.ascontiguousarray(clean(depth, min(camera.fx, camera.fy)))
-    points = np.empty((depth.size, 3), np.float32)
-    many = project(cleaned, camera, points)
-    return Cloud(*get_header(message), points[:many], None, None, topic, record_ns)
-
-
-@kernel
-def project(depth: Float32, camera: Camera, points: Float32) -> int:
-    """Fill points (N, 3) with those of an image (H, W), row after row; return how many it has."""
-    many = 0
-    for row in range(camera.height):
-        up = (row - camera.cy) / camera.fy
-        for col in range(camera.width):
-            z = depth[row, col]
-            if z > 0:
-                x, y = (col - camera.cx) / camera.fx * z, up * z
-                points[many, 0], points[many, 1], points[many, 2] = x, y, z
-                many += 1
-    return many
 
 
 def clean(depth: Float32, focal: float) -> Float32:
@@ -237,6 +126,13 @@ def add_pairs(inverse: Float32, apart: int, alike: float, total: Float32, many: 
         is_alike = abs(before[i] - here[i]) + abs(after[i] - here[i]) < most
         totals[i] += before[i] + after[i] if is_alike else np.float32(0)
         counts[i] += np.float32(2) if is_alike else np.float32(0)
+
+
+SAMPLE, STRIDE = 1 << 12, 7919
+"""So many points show if all are pixels, at steps that are in time with no row"""
+FINEST, OFF, MOST_PIXELS, MOST_EMPTY = 1e-4, 0.2, 1 << 12, 16
+"""A pixel is wider than this (m at 1 m), points lie so far (pixels) from its middle at most, and no
+more pixels from one another, in an image of no more pixels for each of them"""
 
 
 def clean_cloud(cloud: Cloud) -> Cloud:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 
 from occmap.errors import DamageError
-from occmap.readers import Echo, Fix, Role, cloud_messages, depth
+from occmap.readers import Echo, Fix, Role, cloud_messages
 from occmap.readers.containers import Channel
 from occmap.readers.fields import get, get_frame, get_header, get_list, get_row, get_stamp, look
 from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
@@ -36,7 +36,7 @@ class MessageType(NamedTuple):
     takes what `needs` says, the decoded message, its topic and its record time in ns"""
     parser: Callable[[Channel], Parser] | None = None
     """Makes what reads a channel's messages, where a library takes too long"""
-    needs: type[Echo | depth.Camera] | None = None
+    needs: type[Echo | cloud_messages.Camera] | None = None
     many: ReadMany | None = None
     """Reads many messages that are laid out alike"""
 
@@ -45,7 +45,7 @@ class MessageType(NamedTuple):
         """What a topic of such messages can be used for."""
         return next(iter(self.converts), Role.OTHER)
 
-    def bind(self, needed: Echo | depth.Camera) -> Self:
+    def bind(self, needed: Echo | cloud_messages.Camera) -> Self:
         """Give it what it needs."""
         converts = {role: partial(convert, needed) for role, convert in self.converts.items()}
         return self._replace(converts=converts)
@@ -209,9 +209,11 @@ TYPES = {
     "sensor_msgs/msg/PointCloud2": MessageType({Role.CLOUD: cloud_messages.convert_cloud}),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,
-    "sensor_msgs/msg/Image": MessageType({Role.CLOUD: depth.convert_depth}, needs=depth.Camera),
+    "sensor_msgs/msg/Image": MessageType(
+        {Role.CLOUD: cloud_messages.convert_depth}, needs=cloud_messages.Camera
+    ),
     "sensor_msgs/msg/CompressedImage": MessageType(
-        {Role.CLOUD: depth.convert_compressed_depth}, needs=depth.Camera
+        {Role.CLOUD: cloud_messages.convert_compressed_depth}, needs=cloud_messages.Camera
     ),
     "sensor_msgs/msg/NavSatFix": MessageType({Role.OTHER: convert_fix}),
     "foxglove.LaserScan": MessageType(

@@ -22,9 +22,8 @@ import numpy as np
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, Log, ReaderOptions, Role, Stream
-from occmap.readers.cloud_messages import tell_clouds
+from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, Source
-from occmap.readers.depth import Camera, is_depth, read_camera
 from occmap.readers.fields import get_frame
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
 from occmap.readers.messages import make_parser
