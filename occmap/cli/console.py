@@ -82,9 +82,6 @@ class Console:
         import json  # noqa: PLC0415  late: most runs print none
 
         self.answered = True
-        if "notes" in value:
-            told = [each for each in self.announced if each not in value.get("warnings", ())]
-            value = {**value, "notes": list(dict.fromkeys([*told, *value["notes"]]))}
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
         text = spell(json.dumps(named, indent=2, allow_nan=False))
         put_on_stdout(text.replace("##", r"\u0023#"))  # equal JSON, but no command to a CI runner

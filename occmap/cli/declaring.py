@@ -222,12 +222,14 @@ def command(
 def tell(console: Console, name: str, answer: Answer, limits: Sequence[Limit] | None) -> None:
     """Tell notes, print the result, and say which limits it does not keep to."""
     console.clear()
-    failed = [it for limit in limits or () if (it := limit.find_failure(answer.result))]
-    notes = getattr(answer.result, "notes", ())
-    console.note(*(each for each in notes if each not in console.announced))
+    result: Any = answer.result
+    failed = [it for limit in limits or () if (it := limit.find_failure(result))]
+    if hasattr(result, "notes"):
+        console.note(*(each for each in result.notes if each not in console.announced))
+        result = replace(result, notes=tuple(dict.fromkeys([*console.announced, *result.notes])))
     if console.as_json:
         added = {} if limits is None else Limited(failed).to_json()
-        console.put_json(name, answer.result.to_json() | added)
+        console.put_json(name, result.to_json() | added)
     else:
         console.put(answer.lines)
     for each in failed:

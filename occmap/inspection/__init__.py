@@ -68,10 +68,10 @@ def judge_logs(
     of_logs = (f"{log.path}: {text}" for log in logs for text in log.damage)
     damage = (*of_logs, *filter(is_damage, notes))
     concerns = (concern.text for log in logs for concern in log.concerns)
-    told = tuple(note for note in notes if note not in damage)
     frames = {log.path: it.poses.chain[0] for log in logs for it in log.scans if it.poses.chain}
     warnings = *damage, *concerns, *doubt_frames(frames), *differing
-    return Inspection(tuple(logs), found, problems, warnings, command, not problems, told, damage)
+    told = tuple(notes), damage
+    return Inspection(tuple(logs), found, problems, warnings, command, not problems, *told)
 
 
 def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:

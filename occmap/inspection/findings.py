@@ -291,6 +291,11 @@ class Inspection(Printed):
     damage: tuple[str, ...] = field(default=(), metadata=HIDDEN)
     """What tells of damage to a log, or of a recording in a folder that nothing can read"""
 
+    def __post_init__(self) -> None:
+        # It is among the warnings.
+        others = tuple(note for note in self.notes if note not in self.damage)
+        object.__setattr__(self, "notes", others)
+
     @property
     def topics(self) -> list[ScanFindings]:
         """All topics of scans."""
