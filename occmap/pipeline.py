@@ -77,7 +77,7 @@ def build(
         tally.notes += [
             *(*unaligned, *fitted, *facts.lost, *manifests.list_doubts(manifest)),
             *list_contradictions(steady, tally.points),
-            *results.list_notes(paths, options, outputs, tally, facts),
+            *results.list_notes(options, outputs, tally, facts),
         ]
         report = make_report(options, tally, facts, past)
 

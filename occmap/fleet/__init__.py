@@ -123,7 +123,7 @@ class Fleet:
         of_clouds = np.sum(hits, axis=0).tolist() if tally.points else (0, 0)
         tally.notes += [*unaligned, *manifests.list_doubts(manifest)]
         tally.notes += list_contradictions(of_clouds, tally.points)
-        tally.notes += list_notes(paths, options, [output], tally, facts)
+        tally.notes += list_notes(options, [output], tally, facts)
         report = pipeline.make_report(options, tally, facts)
         return replace(report, files=(str(output),))
 

@@ -388,7 +388,7 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
 def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     options, parts, ranked = drive.options, topic.sample.parts, topic.shapes.most_common()
-    misfit = find_better_mount(drive.poser, parts, options)
+    misfit = find_better_mount(drive, parts)
     tracks = [edge.track for edge in drive.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     found = ScanFindings(

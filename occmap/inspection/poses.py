@@ -22,8 +22,8 @@ from occmap.inspection.findings import Coverage, MountFindings, PoseFindings, Sc
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body
 from occmap.options import OPTIONS, BuildOptions
 from occmap.posing import Concern, Deskew, Doubt, Stamps
-from occmap.posing.attach import Poser, place_logs
-from occmap.posing.chain import Chain, Status, Transforms
+from occmap.posing.attach import Poser
+from occmap.posing.chain import Chain, Status, Transforms, place_logs
 from occmap.posing.sources import Sources
 from occmap.readers import Role
 from occmap.report import count

@@ -15,22 +15,12 @@ from occmap.cells import Ground
 from occmap.errors import PoseError
 from occmap.posing import Concern, Deskew, Doubt, Drift, PosingOptions, chain
 from occmap.posing import course as courses
-from occmap.posing.chain import Chain, Status, Transforms
+from occmap.posing.chain import Chain, Status, Transforms, place_logs, tilt
 from occmap.posing.course import Course, Stance
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS, Track
 from occmap.report import count
-from occmap.types import (
-    IDENTITY,
-    Cloud,
-    Float64,
-    Int64,
-    Pose,
-    PosedScans,
-    Recorded,
-    ScanBatch,
-    Trajectory,
-)
+from occmap.types import Cloud, Float64, Int64, PosedScans, Recorded, ScanBatch, Trajectory
 
 TWIN_SHARE = 0.5
 """Two lasers do not measure at the same moments; a filter keeps the stamps of what it filters."""
@@ -44,18 +34,6 @@ STOOD_M, STOOD_RAD = 0.05, math.radians(2)
 """Poses of one that stands still are no farther apart, and not turned by more"""
 Laser: TypeAlias = tuple[str, str]
 """Topic and frame"""
-
-
-def place_logs(options: PosingOptions) -> Transforms:
-    """Say where the logs' map, once it is level, lies in the map that is made."""
-    turned = Pose.planar(0.0, 0.0, math.radians(options.align or 0.0))
-    return Transforms.fixed(turned).then(Transforms.fixed(options.transform or IDENTITY))
-
-
-def tilt(level: tuple[float, float]) -> Transforms:
-    """Make the rotation by a roll and a pitch (degrees)."""
-    roll, pitch = map(math.radians, level)
-    return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
 
 
 @dataclass(eq=False)

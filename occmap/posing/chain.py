@@ -18,7 +18,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing import Deskew
+from occmap.posing import Deskew, PosingOptions
 from occmap.posing.frames import Edge, find_moving, last_part
 from occmap.posing.tracks import Track, find_usable, rotate_by, slerp, to_quaternions
 from occmap.types import IDENTITY, Bool, Float64, Int64, Pose, PosedScans, ScanBatch, UInt8
@@ -98,6 +98,18 @@ def turn(rotation: Float64, position: Float64) -> Float64:
     """Rotate vectors (N, 3) by matrices (N, 3, 3); either N may be 1."""
     turned: Float64 = (rotation @ position[..., None])[..., 0]
     return turned
+
+
+def place_logs(options: PosingOptions) -> Transforms:
+    """Say where the logs' map, once it is level, lies in the map that is made."""
+    turned = Pose.planar(0.0, 0.0, math.radians(options.align or 0.0))
+    return Transforms.fixed(turned).then(Transforms.fixed(options.transform or IDENTITY))
+
+
+def tilt(level: tuple[float, float]) -> Transforms:
+    """Make the rotation by a roll and a pitch (degrees)."""
+    roll, pitch = map(math.radians, level)
+    return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -346,11 +346,11 @@ STILL_SCANS = 20
 """Fewer scans do not tell whether the robot drove."""
 
 
-class Course:
+class Course(TrackBuilder):
     """What became of the scans of one sensor, and where it was: 72 bytes for each with a pose."""
 
     def __init__(self) -> None:
-        self._poses = TrackBuilder()
+        super().__init__()
         self._lost: list[tuple[Int64, UInt8]] = []
         self.is_of_clouds = False
         """Its sensor has no scan plane"""
@@ -361,7 +361,7 @@ class Course:
         Of de-skewed scans, those of their first beams count.
         """
         self.is_of_clouds = posed.batch.clouds is not None
-        self._poses.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
+        self.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
 
     def lose(self, stamp_ns: Int64, status: UInt8) -> None:
         """Record scans (S,) that have no usable pose, with their own stamps."""
@@ -375,12 +375,8 @@ class Course:
 
     def list_poses(self) -> tuple[Int64, Float64]:
         """List the stamps (N,) and poses (N, 7) of the scans that were seen, in their order."""
-        times, poses = self._poses.samples
+        times, poses = self.samples
         return times[:, 0].copy(), poses
-
-    def build(self) -> Track | None:
-        """Put all that was seen in the order of time; None where no scan has a pose."""
-        return self._poses.build()
 
 
 def stands(track: Track) -> bool:

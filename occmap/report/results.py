@@ -253,11 +253,7 @@ LEAST_OBSTACLES = 0.001
 
 
 def list_notes(
-    paths: Sequence[Path],
-    options: BuildOptions,
-    outputs: Sequence[Path],
-    tally: Tally,
-    facts: MapFacts,
+    options: BuildOptions, outputs: Sequence[Path], tally: Tally, facts: MapFacts
 ) -> Iterator[str]:
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
@@ -277,7 +273,7 @@ def list_notes(
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
     yield from list_odd_points(tally.points)
-    misfits = list(list_misfits(paths, options, facts.agreement, tally))
+    misfits = list(list_misfits(options, facts.agreement, tally))
     yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
 
 

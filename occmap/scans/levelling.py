@@ -13,21 +13,14 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.cells import Ground
-from occmap.clouds import FLAT
-from occmap.clouds.counting import (
-    LOG_CLOUDS,
-    UPRIGHT_CLOUDS,
-    Counted,
-    Counter,
-    join_counted,
-    list_apart,
-)
+from occmap.clouds import FLAT, counting
+from occmap.clouds.counting import Counted, Counter, join_counted, list_apart
 from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, name_log
 from occmap.evidence import UNEVEN_SHARE, refuse_other
 from occmap.options import BuildOptions
 from occmap.posing import NO_DRIFT, Drift, measure_drift
-from occmap.posing.attach import place_logs, tilt
+from occmap.posing.chain import place_logs, tilt
 from occmap.report import Note, join_names
 from occmap.scans import encode_cells
 from occmap.scans.logs import count_scans
@@ -273,7 +266,7 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     """
     log, posing = str(drive.log.path), drive.options.posing
     share = count_scans(drive.log, drive.options.selection.topics) / max(clouds, 1)
-    views = max(math.ceil(UPRIGHT_CLOUDS * share), LOG_CLOUDS)
+    views = max(math.ceil(counting.UPRIGHT_CLOUDS * share), counting.LOG_CLOUDS)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away

@@ -166,9 +166,7 @@ def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
     return {leaf: place for leaf, place in places.items() if place}
 
 
-def list_misfits(
-    paths: Sequence[Path], options: BuildOptions, agreement: float | None, tally: Tally
-) -> Iterator[str]:
+def list_misfits(options: BuildOptions, agreement: float | None, tally: Tally) -> Iterator[str]:
     """Say which lasers fit better with another mount, where the hits of a map agree little.
 
     The logs are then read once more, though not traced.
@@ -183,30 +181,28 @@ def list_misfits(
     is_trusted = tally.lasers < 2 and tally.scans_read > FEW_SCANS
     if agreement is None or agreement >= (SUSPECT if is_trusted else SUSPECT_OF_SEVERAL):
         return
-    for path in paths:
-        drive = open_drive(open_log(path, options.reading), options)
+    for path in tally.logs:
+        drive = open_drive(open_log(Path(path), options.reading), options)
         parts = drive.sample()
         for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
-            if better := find_better_mount(drive.poser, mine, options):
+            if better := find_better_mount(drive, mine):
                 yield f"{path}: {topic}: {better.text}"
 
 
-def find_better_mount(
-    poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
-) -> Concern | None:
+def find_better_mount(drive: Drive, parts: Sequence[PosedScans]) -> Concern | None:
     """Find the mount by which the scans of a sensor fit clearly better, and say how well.
 
     None where they fit as they are, or nothing is mounted.
     """
-    turn = choose_turn([count_marked(parts, turn, options.returns) for turn in TURNS])
+    turn = choose_turn([count_marked(parts, turn, drive.options.returns) for turn in TURNS])
     if turn is None or turn == IDENTITY:
         return None
-    if (mount := find_mount(poser, parts[0].batch.frame)) is None:
+    if (mount := find_mount(drive.poser, parts[0].batch.frame)) is None:
         return None
     mended = mount.write(turn_mount(mount.pose, turn))
     text = f"the scans would fit each other better with {mark_options(mended)}"
-    agreement = estimate_agreement([mount_scans(part, turn) for part in parts], options)
+    agreement = estimate_agreement([mount_scans(part, turn) for part in parts], drive.options)
     if agreement is not None and agreement < SUSPECT:
         text += f", by which {agreement:.0%} of the hits agree: the poses may be wrong, too"
     return Concern(text, mended)
