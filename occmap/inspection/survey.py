@@ -409,7 +409,7 @@ class Survey(Selector):
 
     def survey(self) -> None:
         """Read all scans once, holding no more than a batch of each topic."""
-        for posed in self.drive.read(Tally(), selector=self):
+        for posed in self.drive.read(Tally(), self):
             survey = self.topics[posed.batch.topic]
             survey.posed += len(posed.batch.stamp_ns)
             if survey.is_sampled:

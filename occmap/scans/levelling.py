@@ -24,7 +24,7 @@ from occmap.posing.chain import place_logs, tilt
 from occmap.report import Note, join_names
 from occmap.scans import encode_cells
 from occmap.scans.logs import count_scans
-from occmap.scans.stream import Drive
+from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
 from occmap.types import BLOCK_BITS, COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64
@@ -271,8 +271,9 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
             counter = Counter(clouds, log, ground, views)
+            selector = Selector(drive.options.selection, posing.stamps, counter.wants)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
-                for posed in drive.read(Tally(), counter.wants):
+                for posed in drive.read(Tally(), selector):
                     threads.give(posed)
         return counter
 

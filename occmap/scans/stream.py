@@ -4,7 +4,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -31,11 +31,22 @@ def find_flaw(some: Recorded) -> LeftOut | None:
     return None if math.isfinite(last) else LeftOut.BAD_ANGLES
 
 
-class Selector:
-    """Says which scans of one log are used; it is shown all of them, in order."""
+Wants: TypeAlias = Callable[[int, int], bool]
 
-    def __init__(self, selection: Selection, stamps: Stamps) -> None:
-        self._selection, self._stamps = selection, stamps
+
+class Selector:
+    """Says which scans of one log are used; it is shown all of them, in order.
+
+    Parameters
+    ----------
+    wants
+        Says of each cloud that is used, by its stamp and its number of points, whether it is posed.
+    """
+
+    def __init__(
+        self, selection: Selection, stamps: Stamps, wants: Wants = lambda _stamp_ns, _points: True
+    ) -> None:
+        self._selection, self._stamps, self._wants = selection, stamps, wants
         self._wants_all = replace(selection, topics=()) == Selection()
         self.first_ns: int | None = None
         """The stamp of the log's first scan; None before it is seen"""
@@ -58,7 +69,7 @@ class Selector:
             for scan in some.split() if isinstance(some, ScanBatch) else (some,):
                 reason = self._find_reason(scan)
                 self.see(scan, reason)
-                if reason is None:
+                if reason is None and self._is_wanted(scan):
                     yield scan
 
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
@@ -69,6 +80,10 @@ class Selector:
 
     def see_batch(self, batch: ScanBatch) -> None:
         """Take a look at scans that are used, of which some may have no pose."""
+
+    def _is_wanted(self, scan: Scan | Cloud) -> bool:
+        stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
+        return not isinstance(scan, Cloud) or self._wants(stamp_ns, len(scan.points))
 
     def _find_reason(self, scan: Scan | Cloud) -> LeftOut | None:
         if (flaw := find_flaw(scan)) is not None:
@@ -255,19 +270,11 @@ class Drive:
                 samples[posed.batch.topic].add(posed)
         return [part for sample in samples.values() for part in sample.parts]
 
-    def read(
-        self,
-        tally: Tally,
-        wants: Callable[[int, int], bool] | None = None,
-        selector: Selector | None = None,
-    ) -> Iterator[PosedScans]:
+    def read(self, tally: Tally, selector: Selector | None = None) -> Iterator[PosedScans]:
         """Read the scans that are used and have poses, batch by batch; count what becomes of all.
 
         Parameters
         ----------
-        wants
-            Says of each cloud, by its stamp and its number of points, whether it is posed; None:
-            all are.
         selector
             Says which scans are used; None: a new one, by the options.
         """
@@ -275,13 +282,6 @@ class Drive:
         stamps = self.options.posing.stamps
         selector = selector or Selector(self.options.selection, stamps)
         chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
-        if wants is not None:
-            chosen = (
-                some
-                for some in chosen
-                if not isinstance(some, Cloud)
-                or wants(stamps.choose(some.stamp_ns, some.record_ns), len(some.points))
-            )
         chosen = (clean_cloud(some) if isinstance(some, Cloud) else some for some in chosen)
         limited = map(self.limits.apply, stack(map(self.poser.settle_moments, chosen), stamps))
         for batch in tally.time_each("read", limited):
