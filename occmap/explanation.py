@@ -127,12 +127,10 @@ def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Pat
         As `recall_options`.
     """
     options = recall_options(build["options"], where)
-    trajectory = records.list_trajectory(build)
-    if not trajectory:
+    if not (trajectory := records.list_trajectory(build)):
         return options
     name = trajectory[0]["name"].partition("/")[0]
-    path = given.get(trajectory[0]["sha256"])
-    if path is None:
+    if (path := given.get(trajectory[0]["sha256"])) is None:
         others = ", ".join(dict.fromkeys(map(str, given.values())))
         differs = f" (the SHA-256 of {others} is another)" if others else ""
         found = f"its poses came from {name}, which is needed again{differs}"

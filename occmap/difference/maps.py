@@ -101,8 +101,7 @@ def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
     MapError
         A file is missing or damaged.
     """
-    loader = LOADERS.get(path.suffix.lower())
-    if loader is None:
+    if (loader := LOADERS.get(path.suffix.lower())) is None:
         found = f"the suffix {path.suffix!r} is not that of a map"
         raise UsageError(found, where=path, fix=f"maps are {', '.join(LOADERS)}")
     if not path.exists():

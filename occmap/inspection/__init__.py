@@ -208,8 +208,7 @@ def list_concerns(
 
 def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator[Concern]:
     """Say if hardly any hits of a topic agree; tune mends one topic at a time."""
-    doubt = doubt_agreement(topic.agreement, "the hits of a sample of scans")
-    if not doubt:
+    if not (doubt := doubt_agreement(topic.agreement, "the hits of a sample of scans")):
         return
     found = f"{doubt}: the poses do not fit the scans"
     if topic.poses.stated:  # at their own times

@@ -421,8 +421,7 @@ def find_misplaced(mount: mounts.Mount, clouds: Clouds) -> Concern | None:
     """Find out if a sensor sits in another way than its poses say: by far, as in another frame."""
     body = Transforms.fixed(mount.pose).invert().first
     on_body = [mounts.mount_scans(each, body) for each in clouds]
-    seat = find_seat(on_body, Transforms.fixed(mount.pose).rotation[0])
-    if seat is None:
+    if (seat := find_seat(on_body, Transforms.fixed(mount.pose).rotation[0])) is None:
         return None
     up = Transforms.fixed(seat.mount).rotation[0, 2]
     angle, of_body = find_angle(clouds, up), find_angle(on_body, np.array([0.0, 0.0, 1.0]))

@@ -177,8 +177,7 @@ class Poser:
         if batch.pose is not None and self._is_stated(batch):
             yield from self._keep(batch, self._read_stated(batch.pose))
             return
-        way = self._find_way(batch)
-        if way is None:
+        if (way := self._find_way(batch)) is None:
             course = self.courses.setdefault((batch.topic, batch.frame), Course())
             status = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
             course.lose(batch.stamp_ns, status)

@@ -146,8 +146,7 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     if chain and (mixed := warn_of_mixed(chain, track.stamp_ns, first_ns)):
         return mixed
     stated = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
-    found = find_jumps(chain or stated, track.stamp_ns)
-    if not found:
+    if not (found := find_jumps(chain or stated, track.stamp_ns)):
         return None
     scans, jumps = np.diff([0, *found, len(track)]), list(found.values())
     remedy = keep_longest(scans, [(each.stamp_ns, each.stamp_ns) for each in jumps], first_ns)

@@ -208,8 +208,7 @@ def _find_trajectory(
     recording, topic = options.recording or (None, name)
     if recording is None and Path(name).is_file():
         poses_of_file, is_of_camera = read_trajectory(Path(name), notes, moments)
-        edges = _build_edges([poses_of_file], Stamps.HEADER, notes)
-        if not edges:
+        if not (edges := _build_edges([poses_of_file], Stamps.HEADER, notes)):
             raise PoseError("holds no usable pose: none is finite", where=name)
         return replace(edges[0], topic=name), find_lidar(Path(name)) if is_of_camera else None
     wanted = frames.join_topic(recording, topic) if recording else name
@@ -406,8 +405,7 @@ class Search:
         """Find the steps down from one frame to another; raises PoseError where there are none."""
         if upper == lower:
             return []
-        steps = self.tree.find_path(upper, lower)
-        if steps is not None:
+        if (steps := self.tree.find_path(upper, lower)) is not None:
             return steps
         if upper not in self.tree:
             is_given = upper == self.options.map_frame

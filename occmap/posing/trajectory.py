@@ -195,8 +195,7 @@ def _read_table(
     sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
     columns, unit, note = values.settle_times(form.columns, form.unit, sample)
     form = form._replace(columns=columns, unit=unit)
-    rows = list(_parse_lines(path, lines, form.parse))
-    if not rows:
+    if not (rows := list(_parse_lines(path, lines, form.parse))):
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times = [stamp_ns for stamp_ns, _ in rows if stamp_ns is not None]
     poses, doubt = np.array([numbers for _, numbers in rows]), ""
@@ -362,8 +361,7 @@ def _read_header(text: str) -> Table:
     columns, unit = values.split_header(text, separator)
     names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
-    missing = {"stamp", "x", "y", *angles}.difference(names)
-    if missing:
+    if missing := {"stamp", "x", "y", *angles}.difference(names):
         raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")

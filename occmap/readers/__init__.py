@@ -326,8 +326,7 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         The path cannot be read, or no reader knows what it is.
     """
     probe = probe_path(path)
-    reader = find_reader(probe)
-    if reader is None:
+    if (reader := find_reader(probe)) is None:
         loaded, broken = load_plugins("occmap.readers")
         lost = f" ({', '.join(each.name for each in broken)} cannot be loaded)" if broken else ""
         formats = f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"

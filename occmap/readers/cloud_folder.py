@@ -345,8 +345,7 @@ def list_clouds(folder: Path) -> list[Path]:
 
     If it has none, they are in the folders in it that hold one each, as hdl_graph_slam dumps them.
     """
-    files = _list_files(folder)
-    if not files:
+    if not (files := _list_files(folder)):
         inner = list(filter(None, map(_list_files, folder.glob("*/"))))
         files = list(chain(*inner)) if len(inner) > 1 == max(map(len, inner)) else []
     return sorted(files, key=_make_key)

@@ -159,8 +159,7 @@ def find_offsets(times: NDArray[Any], points: Float32, stamp_ns: int) -> tuple[I
         The times, and in words how they were read; "" where they say nothing.
     """
     values = times.astype(np.int64 if times.dtype.kind in "iu" else np.float64)
-    read = _scale_times(values, stamp_ns)
-    if read is None:
+    if (read := _scale_times(values, stamp_ns)) is None:
         with np.errstate(invalid="ignore"):  # what did not come back has any time with some drivers
             used = np.isfinite(values) & np.isfinite(points).all(axis=1) & points.any(axis=1)
         if not used.any():

@@ -27,8 +27,7 @@ def look(message: Any, path: str) -> Any:
 
 def get(message: Any, path: str) -> Any:
     """Get a field likewise."""
-    value = look(message, path)
-    if value is None:
+    if (value := look(message, path)) is None:
         raise DamageError(f"has no {path}")
     return value
 

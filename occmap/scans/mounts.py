@@ -148,8 +148,7 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
 
 def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
     """Guess how a 3D sensor sits, by the floor that it sees; None where it sees none."""
-    seat = find_seat(parts)
-    if seat is None:
+    if (seat := find_seat(parts)) is None:
         return None
     found = f"by the floor {seat.height:.2f} m below it"
     by_walls = ", and by walls; measure x and y" if seat.has_yaw else "; measure x, y and yaw"

@@ -174,8 +174,7 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     limits = nearest, options.max_range, sensor_limit, free_reach
     nearest, farthest, no_return, free_reach = as_float32(limits)  # rounded as ranges are
     hit = (ranges >= nearest) & (ranges < min(no_return, np.nextafter(farthest, np.float32("inf"))))
-    own = find_own(batch, options)
-    if own is not None:
+    if (own := find_own(batch, options)) is not None:
         hit &= ~own
     # Most beams hit: only the few others are looked at more closely.
     others = np.flatnonzero(~hit)

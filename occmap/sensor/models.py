@@ -260,8 +260,7 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
     UsageError
         No such model, no such parameter, or a value out of its range.
     """
-    model_class = load_plugin("occmap.models", name)
-    if model_class is None:
+    if (model_class := load_plugin("occmap.models", name)) is None:
         known = [entry.name for entry in list_plugins("occmap.models")]
         if name in known:
             raise UsageError(f"the model {name} does not load", fix="`occmap models` says why")

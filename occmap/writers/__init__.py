@@ -242,8 +242,7 @@ def find_writer(path: Path) -> Writer:
     if name not in known:
         found = f"unknown suffix {path.suffix!r}" if name else "the file name has no suffix"
         raise UsageError(found, where=path, fix=listing)
-    kind = load_plugin("occmap.writers", name)
-    if kind is None:
+    if (kind := load_plugin("occmap.writers", name)) is None:
         raise UsageError(f"the writer for .{name} does not load", where=path, fix=listing)
     if not issubclass(kind, Writer):
         # What shows more than a map may show the way of the robot.
