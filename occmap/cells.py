@@ -110,8 +110,7 @@ class CellBox(NamedTuple):
         rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
         if not rows.size:
             return None
-        edges = rows[0], cols[0], rows[-1] + 1, cols[-1] + 1
-        return cls(*map(int, edges)).move(row, col)
+        return cls(*map(int, (rows[0], cols[0], rows[-1] + 1, cols[-1] + 1))).move(row, col)
 
     @classmethod
     def enclose(cls, places: Iterable[Key]) -> Self:

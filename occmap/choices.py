@@ -145,8 +145,7 @@ def _read_path(value: Any) -> Path:
 
 def _read_mount(value: Any) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
-    numbers = _read_numbers(value, 3, 5, angles=slice(2, None))
-    x, y, yaw, roll, pitch, *_ = (*numbers, 0.0, 0.0)
+    x, y, yaw, roll, pitch, *_ = *_read_numbers(value, 3, 5, angles=slice(2, None)), 0.0, 0.0
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 

@@ -285,16 +285,13 @@ class ScanBatch:
         """Select scans by a mask (S,) or by their indices; nothing is copied for a mask of all."""
         if scans.dtype == np.bool_ and scans.all():
             return self
-        return replace(
-            self,
-            stamp_ns=self.stamp_ns[scans],
-            record_ns=self.record_ns[scans],
-            ranges=self.ranges[scans],
-            time_increment=self.time_increment[scans],
-            pose=None if self.pose is None else self.pose[scans],
-            clouds=self.clouds
-            and tuple(self.clouds[at] for at in np.arange(len(self.stamp_ns))[scans]),
-        )
+        by_scan = "stamp_ns", "record_ns", "ranges", "time_increment"
+        changes: dict[str, Any] = {name: getattr(self, name)[scans] for name in by_scan}
+        if self.pose is not None:
+            changes["pose"] = self.pose[scans]
+        if self.clouds is not None:
+            changes["clouds"] = tuple(self.clouds[at] for at in np.arange(self.scans)[scans])
+        return replace(self, **changes)
 
 
 Recorded: TypeAlias = Scan | ScanBatch | Cloud

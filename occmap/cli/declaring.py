@@ -205,8 +205,7 @@ def command(
         def run(console: Console, /, **values: Any) -> None:
             console.note(*console.announced)  # what the file of options states
             limits = values.pop("limits", None)  # None: the command takes no limits
-            answer = function(console, **values)
-            tell(console, name, answer, limits)
+            tell(console, name, function(console, **values), limits)
 
         text = describe(function) or COMMANDS[name][1]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]

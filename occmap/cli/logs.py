@@ -265,5 +265,4 @@ def describe_correction(correction: Correction, names: Sequence[str]) -> str:
         "y": f"y {correction.y:+.6g} m",
         "deskew": "a pose for each beam",
     }
-    changed = [written[name] for name in names if getattr(correction, name)]
-    return ", ".join(changed) or "no change"
+    return ", ".join(written[name] for name in names if getattr(correction, name)) or "no change"

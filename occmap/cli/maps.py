@@ -111,8 +111,7 @@ def put_out(
     refuse_unsaved(outputs, values.get("overview"))
     evidence = read()
     view = {"model": options.choose_saved_model(evidence, values), "writing": writing}
-    chosen = take(RenderOptions, values | view)
-    return options.answer(publish(evidence, chosen, outputs))
+    return options.answer(publish(evidence, take(RenderOptions, values | view), outputs))
 
 
 MOST_SCANS, MOST_BUILDS = 12, 6

@@ -172,8 +172,7 @@ def gather_logs(
         Nothing comes on stdin.
     """
     given = click.get_current_context().with_resource(keep_stdin(paths))
-    others = [*outputs, *options.posing.files]
-    recordings, notes = find_inputs(given, options.reading, others)
+    recordings, notes = find_inputs(given, options.reading, [*outputs, *options.posing.files])
     console.announce(*notes)
     return recordings, list(filter(is_damage, notes))
 

@@ -124,8 +124,7 @@ class Fleet:
         tally.notes += [*unaligned, *manifests.list_doubts(manifest)]
         tally.notes += list_contradictions(of_clouds, tally.points)
         tally.notes += list_notes(options, [output], tally, facts)
-        report = pipeline.make_report(options, tally, facts)
-        return replace(report, files=(str(output),))
+        return replace(pipeline.make_report(options, tally, facts), files=(str(output),))
 
     @contextmanager
     def work(

@@ -272,8 +272,7 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
         if not item.is_no_return:
             found = f"{item.value:g} m is {item.share:.0%} of the ranges and may mean no return"
             is_last = item.value > (1 - BAND) * ranges.largest
-            fix = f", as `range_max={item.value:.9g}` takes it"
-            yield Concern(found + fix * is_last)
+            yield Concern(found + f", as `range_max={item.value:.9g}` takes it" * is_last)
     if ranges.body is not None:
         yield poses.warn_of_body(ranges.body)
     if ranges.measured:

@@ -207,15 +207,13 @@ def find_crossing(origin: Float64, direction: Float64, reach: Float64, hit: Floa
     there, left, right = (
         np.isin(encode_cells(ways + side * aside, HIT_CELL_M), walls) for side in (0, 1, -1)
     )
-    crossing: Bool = (there & look_around(left) & look_around(right)).max(axis=1)
-    return crossing
+    return np.asarray((there & look_around(left) & look_around(right)).max(axis=1))
 
 
 def look_around(steps: Bool) -> Bool:
     """(N, K) whether a step (N, K) of a beam, or one of those around it, is true."""
     ends = np.pad(steps, ((0, 0), (STEPS_AROUND, STEPS_AROUND)))
-    around: Bool = sliding_window_view(ends, 2 * STEPS_AROUND + 1, axis=1).max(axis=2)
-    return around
+    return np.asarray(sliding_window_view(ends, 2 * STEPS_AROUND + 1, axis=1).max(axis=2))
 
 
 NO_HIT_M = 1e6
@@ -246,8 +244,7 @@ def find_body_in_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> 
         batch, (kind, reach, _) = part.batch, sensor.classify(part.batch, options)
         form = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
         seen[form].append((part, np.where(kind == Kind.HIT, reach, NO_HIT_M)))
-    bodies = (find_body(scans, form) for form, scans in seen.items())
-    return next(filter(None, bodies), None)
+    return next(filter(None, (find_body(scans, form) for form, scans in seen.items())), None)
 
 
 def find_body(

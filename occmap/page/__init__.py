@@ -72,11 +72,11 @@ class Stage:
 
     plots: Sequence[Any]
     """Bokeh figures, which are called map-0, map-1 ..."""
-    titles: Sequence[str]
     data: dict[str, Any]
     """What the script knows of them; see page.js"""
-    note: str = ""
-    """What of the map is not shown as it is"""
+    note: str
+    """What of the map is not shown as it is; "" where all is"""
+    titles: Sequence[str] = ("",)
 
 
 @dataclass(frozen=True)

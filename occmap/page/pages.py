@@ -59,7 +59,7 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
     seen = raster.Seen.of(evidence)
     made = raster.make_raster(grid, seen)
     note = " ".join(list_losses(made, product, evidence))
-    stage = raster.set_out([made], raster.name_layers([made], seen), grid.extent, note=note)
+    stage = raster.set_out([made], raster.name_layers([made], seen), grid.extent, note)
     for shape in options.shapes:
         for ring in shape.rings:
             closed = ring if shape.width else [*ring, ring[0]]
@@ -181,8 +181,8 @@ def stage_variants(results: Sequence[compare.ScoredVariant]) -> Stage:
     coarse = max(each.step for each in rasters)
     note = f"Large maps are shown thinned, up to one of {coarse} x {coarse} cells."
     titles = [f"share {each.score.share:.3f} \u2013 {each.name}" for each in results]
-    layers = raster.name_layers(rasters)
-    return raster.set_out(rasters, layers, box, titles, note if coarse > 1 else "")
+    stage = raster.set_out(rasters, raster.name_layers(rasters), box, note * (coarse > 1))
+    return replace(stage, titles=titles)
 
 
 CLASSES = ("unknown", "free", "occupied")
@@ -226,7 +226,7 @@ def stage_changes(difference: MapDifference) -> Stage:
     made = raster.Raster(place.x, place.y, place.resolution * step, step, packed)
     box = place.measure(CellBox(0, 0, *difference.before.shape))
     note = f"Of each {step} x {step} cells the one that changed most is shown."
-    return raster.set_out([made], list_change_layers(), box, note=note if step > 1 else "")
+    return raster.set_out([made], list_change_layers(), box, note * (step > 1))
 
 
 def list_change_layers() -> list[raster.Layer]:

@@ -25,7 +25,7 @@ from occmap.evidence import to_grid
 from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.page import Stage
-from occmap.types import Bool, Int64, Trajectory
+from occmap.types import Int64, Trajectory
 from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
 MOST_CELLS = 4100 * 4100
@@ -169,16 +169,14 @@ def read_ground(ground: Ground, lowest_cm: int, box: CellBox, resolution: float)
     rows, cols = np.mgrid[box.row : box.row_end, box.col : box.col_end]
     place = (np.column_stack([cols.ravel(), rows.ravel()]) + 0.5) * resolution
     above_cm = np.floor(100 * ground.find_heights(place)) - lowest_cm + 1
-    known: Int64 = np.nan_to_num(above_cm).astype(np.int64)
-    return known.reshape(box.shape)
+    return np.asarray(np.nan_to_num(above_cm).astype(np.int64).reshape(box.shape))
 
 
 def find_last(slices: Slices, first: int) -> Int64:
     """(64, 64) the last slice that saw each cell of one tile, counted from 1; 0 where none did."""
     last = np.zeros((TILE, TILE), np.int64)
     for number, bits in zip(slices.numbers.tolist(), tiles.unpack_bits(slices)[:, 1], strict=True):
-        seen: Bool = np.unpackbits(bits, axis=-1).view(np.bool_)
-        last[seen] = number - first + 1
+        last[np.unpackbits(bits, axis=-1).view(np.bool_)] = number - first + 1
     return last
 
 
@@ -273,21 +271,10 @@ def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Lay
     return [layer for layer in layers if layer.key in tops]
 
 
-def set_out(
-    rasters: Sequence[Raster],
-    layers: Sequence[Layer],
-    box: Box,
-    titles: Sequence[str] = ("",),
-    note: str = "",
-) -> Stage:
+def set_out(rasters: Sequence[Raster], layers: Sequence[Layer], box: Box, note: str) -> Stage:
     """Set out maps side by side; the first layer, of classes, is the one that is seen first."""
-    first = plot_map(0)
-    return Stage(
-        plots=[first, *(plot_map(index, first) for index in range(1, len(rasters)))],
-        titles=titles,
-        data={"maps": rasters, "layers": layers, "box": box},
-        note=note,
-    )
+    plots = [first := plot_map(0), *(plot_map(at, first) for at in range(1, len(rasters)))]
+    return Stage(plots, {"maps": rasters, "layers": layers, "box": box}, note)
 
 
 WAY_COLOURS = palettes.Plasma256[20:165]
@@ -383,5 +370,4 @@ def add_scan(plot: Any) -> None:
     hits = {"size": 3.5, "color": SCAN_COLOUR, "line_color": None}
     laser = {"size": 11, "color": SCAN_COLOUR, "line_color": "#ffffff", "line_width": 2}
     for name, style in (("scan", hits), ("robot", laser)):
-        nothing = ColumnDataSource({"x": [], "y": []})
-        plot.scatter("x", "y", source=nothing, name=name, **style)
+        plot.scatter("x", "y", source=ColumnDataSource({"x": [], "y": []}), name=name, **style)

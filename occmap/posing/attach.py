@@ -196,8 +196,7 @@ class Poser:
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
             yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds))
         if not deskewed.all():
-            found = way.at(stamp_ns[~deskewed], in_clouds)
-            yield from self._keep(batch.take(~deskewed), found)
+            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed], in_clouds))
 
     def _is_stated(self, some: Cloud | ScanBatch) -> bool:
         return some.pose is not None and self.options.poses is None

@@ -72,8 +72,7 @@ class Transforms(NamedTuple):
     @property
     def first(self) -> Pose:
         """Where it was at the first stamp, or is at all times."""
-        quaternion = to_quaternions(self.rotation[:1])
-        return Pose(*self.position[0].tolist(), *quaternion[0].tolist())
+        return Pose(*self.position[0].tolist(), *to_quaternions(self.rotation[:1])[0].tolist())
 
     def take(self, row: int) -> Self:
         """Select one of the stamps."""
@@ -96,8 +95,7 @@ class Transforms(NamedTuple):
 
 def turn(rotation: Float64, position: Float64) -> Float64:
     """Rotate vectors (N, 3) by matrices (N, 3, 3); either N may be 1."""
-    turned: Float64 = (rotation @ position[..., None])[..., 0]
-    return turned
+    return np.asarray((rotation @ position[..., None])[..., 0])
 
 
 def place_logs(options: PosingOptions) -> Transforms:

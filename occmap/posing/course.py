@@ -199,8 +199,7 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
         whole = reduce(Transforms.then, (moved.take(row) for row in rows[::-1]))
         start, time_ns = before.position[rows[:1]], int(times[rows[-1]])
         metres = float(np.linalg.norm(turn(whole.rotation, start) + whole.position - start))
-        cosine = (np.trace(whole.rotation[0]) - 1) / 2
-        radians = float(np.arccos(np.clip(cosine, -1, 1)))
+        radians = float(np.arccos(np.clip((np.trace(whole.rotation[0]) - 1) / 2, -1, 1)))
         if metres > JUMP_M or radians > JUMP_RAD:
             found[number] = Jump(time_ns, metres, radians, *breaks[time_ns][1:])
     return found
@@ -224,8 +223,7 @@ def find_strides(track: Track) -> Int64:
     known = (beside >= 0) & (beside < len(speed))
     beside_m_per_s = np.where(known, speed[np.clip(beside, 0, len(speed) - 1)], 0)
     fast = np.partition(beside_m_per_s, -FASTEST_BESIDE, axis=1)[:, -FASTEST_BESIDE]
-    strides: Int64 = steps[speed[steps] > STRIDE_TIMES * fast]
-    return strides
+    return np.asarray(steps[speed[steps] > STRIDE_TIMES * fast])
 
 
 def list_turns(track: Track, scans_ns: Int64, times: float) -> Int64:
@@ -306,15 +304,14 @@ def find_outliers(track: Track, max_speed: float) -> Bool:
 
 def find_leaps(track: Track, max_speed: float) -> Bool:
     """(N - 1,) which steps of a laser between its scans (N) are leaps."""
-    pauses = track.interval_s > SPARSE_S
-    return ~pauses & is_too_far(track.step_m, track.interval_s, max_speed)
+    is_far = is_too_far(track.step_m, track.interval_s, max_speed)
+    return is_far & (track.interval_s <= SPARSE_S)
 
 
 def is_too_far(metres: Float64, seconds: Float64, max_speed: float) -> Bool:
     """(N,) whether steps are longer than a robot can go in that time."""
     fastest = FASTEST if max_speed == math.inf else max_speed
-    too_far: Bool = metres > np.maximum(SLACK_M, fastest * seconds)
-    return too_far
+    return np.asarray(metres > np.maximum(SLACK_M, fastest * seconds))
 
 
 def describe_first(track: Track, outliers: Bool, offset_ns: int) -> str:

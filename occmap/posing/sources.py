@@ -193,8 +193,7 @@ def _name_body(edge: Edge) -> Edge:
 
 
 def _is_intention(topic: str) -> bool:
-    words = topic.lower().replace("/", "_").split("_")
-    return not INTENTIONS.isdisjoint(words)
+    return not INTENTIONS.isdisjoint(topic.lower().replace("/", "_").split("_"))
 
 
 def _find_trajectory(
@@ -369,8 +368,7 @@ class Search:
                 else f": give {own} if they are the sensor's own"
             )
         self.notes.append(note)
-        carried = replace(trajectory, child=body)
-        return fixed, [*above, carried, *below, *self._mount_on(anchor)]
+        return fixed, [*above, replace(trajectory, child=body), *below, *self._mount_on(anchor)]
 
     def _guess_body(self) -> str:
         """Guess whose poses a trajectory holds: the laser's own if tf does not know its frame."""
@@ -398,8 +396,7 @@ class Search:
             return []
         if self.frame in self.tree:
             self.notes.append(f"the given sensor pose replaces the log's of {self.frame!r}")
-        track = Track.fixed(self.options.sensor_pose)
-        return [Edge(anchor, self.frame, track, Source.GIVEN)]
+        return [Edge(anchor, self.frame, Track.fixed(self.options.sensor_pose), Source.GIVEN)]
 
     def _find_path(self, upper: str, lower: str) -> list[Edge]:
         """Find the steps down from one frame to another; raises PoseError where there are none."""

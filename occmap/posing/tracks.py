@@ -46,8 +46,7 @@ def to_quaternions(matrix: Float64) -> Float64:
     largest = np.einsum("iin->in", products).argmax(axis=0)
     rows = products[largest, :, np.arange(len(matrix))]
     rows *= np.where(rows[:, 3:] < 0, -1, 1)
-    quaternion: Float64 = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    return quaternion
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
 def list_poses(scans: PosedScans) -> Float64:
@@ -77,8 +76,7 @@ def slerp(start: Float64, end: Float64, fraction: Float64) -> Float64:
 
 def _nearer(start: Float64, end: Float64) -> Float64:
     """Choose `end` or -`end`, which are one rotation: the one that is nearer to `start`."""
-    side = np.einsum("ij,ij->i", start, end)
-    return np.where(side[:, None] < 0, -end, end)
+    return np.where(np.einsum("ij,ij->i", start, end)[:, None] < 0, -end, end)
 
 
 def _half_chords(start: Float64, end: Float64) -> tuple[Float64, Float64]:
@@ -153,8 +151,7 @@ class Track:
     @cached_property
     def step_m(self) -> Float64:
         """(N - 1,) metres between neighbouring samples."""
-        step: Float64 = np.linalg.norm(np.diff(self.position, axis=0), axis=1)
-        return step
+        return np.asarray(np.linalg.norm(np.diff(self.position, axis=0), axis=1))
 
     @cached_property
     def step_rad(self) -> Float64:
@@ -241,8 +238,7 @@ def differ(
     """Whether any of the poses, (N, 3) m and (N, 4), differs from the first by more than that."""
     far = float(np.abs(position - position[:1]).max(initial=0))
     first = np.broadcast_to(quaternion[:1], quaternion.shape)
-    turned = float(angle_between(first, quaternion).max(initial=0))
-    return far > far_m or turned > far_rad
+    return far > far_m or float(angle_between(first, quaternion).max(initial=0)) > far_rad
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:

@@ -139,8 +139,8 @@ def read_trajectory(
     """
     times, poses, is_of_camera = _read_poses(path, notes)
     if is_of_camera:
-        places_and_axes = poses[:, :6].reshape(-1, 2, 3) @ FROM_CAMERA.T
-        poses[:, :6] = places_and_axes.reshape(-1, 6)
+        # The place, and the vector of the quaternion.
+        poses[:, :6] = (poses[:, :6].reshape(-1, 2, 3) @ FROM_CAMERA.T).reshape(-1, 6)
     if moments is None:
         times = _read_times(path) if times is None else times
     elif times is None or not moments.is_timed:  # where only the order of the scans is known

@@ -294,8 +294,7 @@ class CloudFolder(Log):
         LogError
             None holds a point.
         """
-        clouds = self._read() if TOPIC in topics else ()
-        return tell_clouds(clouds, self.path, self.notes)
+        return tell_clouds(self._read() if TOPIC in topics else (), self.path, self.notes)
 
     def _read(self) -> Iterator[Cloud]:
         lost, cut = dict[str, str](), dict[str, str]()
@@ -358,8 +357,7 @@ def _list_files(folder: Path) -> list[Path]:
 
 
 def _make_key(path: Path) -> list[tuple[int, str]]:
-    parts = _DIGITS.split(str(path))
-    return [(int(part) if part.isdecimal() else -1, part) for part in parts]
+    return [(int(part) if part.isdecimal() else -1, part) for part in _DIGITS.split(str(path))]
 
 
 def read_times(paths: Sequence[Path]) -> list[int]:

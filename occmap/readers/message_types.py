@@ -16,6 +16,7 @@ import numpy as np
 
 from occmap.errors import DamageError
 from occmap.readers import Echo, Fix, Role, cloud_messages
+from occmap.readers.cloud_messages import Camera
 from occmap.readers.containers import Channel
 from occmap.readers.fields import get, get_frame, get_header, get_list, get_row, get_stamp, look
 from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
@@ -36,7 +37,7 @@ class MessageType(NamedTuple):
     takes what `needs` says, the decoded message, its topic and its record time in ns"""
     parser: Callable[[Channel], Parser] | None = None
     """Makes what reads a channel's messages, where a library takes too long"""
-    needs: type[Echo | cloud_messages.Camera] | None = None
+    needs: type[Echo | Camera] | None = None
     many: ReadMany | None = None
     """Reads many messages that are laid out alike"""
 
@@ -45,7 +46,7 @@ class MessageType(NamedTuple):
         """What a topic of such messages can be used for."""
         return next(iter(self.converts), Role.OTHER)
 
-    def bind(self, needed: Echo | cloud_messages.Camera) -> Self:
+    def bind(self, needed: Echo | Camera) -> Self:
         """Give it what it needs."""
         converts = {role: partial(convert, needed) for role, convert in self.converts.items()}
         return self._replace(converts=converts)
@@ -209,11 +210,9 @@ TYPES = {
     "sensor_msgs/msg/PointCloud2": MessageType({Role.CLOUD: cloud_messages.convert_cloud}),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,
-    "sensor_msgs/msg/Image": MessageType(
-        {Role.CLOUD: cloud_messages.convert_depth}, needs=cloud_messages.Camera
-    ),
+    "sensor_msgs/msg/Image": MessageType({Role.CLOUD: cloud_messages.convert_depth}, needs=Camera),
     "sensor_msgs/msg/CompressedImage": MessageType(
-        {Role.CLOUD: cloud_messages.convert_compressed_depth}, needs=cloud_messages.Camera
+        {Role.CLOUD: cloud_messages.convert_compressed_depth}, needs=Camera
     ),
     "sensor_msgs/msg/NavSatFix": MessageType({Role.OTHER: convert_fix}),
     "foxglove.LaserScan": MessageType(

@@ -15,7 +15,7 @@ from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, get_type_hints
+from typing import Annotated, Any, TypeAlias, TypeGuard, get_type_hints
 
 Count: TypeAlias = Annotated[int, ("minimum", 0)]
 Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
@@ -250,6 +250,6 @@ def fold_notes(notes: Iterable[str]) -> tuple[str, ...]:
     return tuple(f"{join_names(it)}: {text}" if any(it) else text for (text, _), it in logs.items())
 
 
-def is_damage(note: str) -> bool:
+def is_damage(note: str) -> TypeGuard[Note]:
     """Whether a note tells of damage; a plain sentence does not."""
     return isinstance(note, Note) and note.damage

@@ -217,8 +217,7 @@ def tell_map(grid: MapSummary, hint: str = "") -> Iterator[Row]:
     if grid.agreement is not None:
         yield "agree", f"{grid.agreement:.1%} of the hits lie in occupied cells{hint}"
     passes = "" if grid.min_passes is None else f", hits of {grid.min_passes} visits or more"
-    model = shorten_model(parse_model(grid.model))
-    yield "update", f"{grid.update}, model {model}{passes}"
+    yield "update", f"{grid.update}, model {shorten_model(parse_model(grid.model))}{passes}"
 
 
 def tell_scans(report: Report) -> list[Row]:

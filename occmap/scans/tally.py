@@ -147,7 +147,7 @@ class Tally:
 
     def note(self, log: Path, notes: Iterable[str]) -> None:
         """Keep notes on a log; those of a plugin's reader may be text."""
-        self.notes += [Note(note, is_damage(note)).placed(log) for note in notes]
+        self.notes += [Note(note, is_damage(note), str(log)) for note in notes]
 
     def use(self, scans: int, beams: ReturnCounts) -> None:
         """Count scans that are used, and what their beams meant."""
@@ -221,8 +221,7 @@ def refuse_unused(tally: Tally) -> None:
         dropped = tally.scans.dropped
         found = write_unused(tally.scans_read, dropped)
         raise PoseError(found, where=where, fix=advise_on_dropped(dropped))
-    damage = (note for note in tally.notes if isinstance(note, Note) and note.damage)
-    if lost := next(damage, None):
+    if lost := next(filter(is_damage, tally.notes), None):
         raise LogError(f"no scan can be read: {lost.text}", where=lost.log)
     fix = "`occmap check` shows what it holds"
     raise LogError("holds no scan that can be read", where=where, fix=fix)

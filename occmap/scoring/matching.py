@@ -188,8 +188,7 @@ class _Search(NamedTuple):
         (K,) for a turn and, after it, each of some shifts (K, 2)
         """
         points = self.points[:: max(len(self.points) // most, 1)]
-        turned = Transform(0.0, 0.0, yaw).move(points)
-        moved = turned + shifts[:, np.newaxis] + self.middle
+        moved = Transform(0.0, 0.0, yaw).move(points) + shifts[:, np.newaxis] + self.middle
         away = self.walls.measure(moved.reshape(-1, 2)).reshape(moved.shape[:2])
         near = np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2)
         return np.asarray(near.mean(axis=1), np.float64)

@@ -235,8 +235,7 @@ def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
     for cloud in posed.batch.clouds or ():
         points = cloud.points.copy()
         x, y = points[:, :2].T.astype(np.float64)
-        bearings: Float64 = np.arctan2(y, x)
-        own = find_inside(bearings, options.ignore_sectors)
+        own = find_inside(np.arctan2(y, x), options.ignore_sectors)
         if options.footprint is not None:
             own |= find_within(x, y, options.footprint)
         points[own] = 0
@@ -246,8 +245,7 @@ def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
 
 def goes_round(batch: ScanBatch) -> bool:
     """Whether the beams go all the way round, to half an increment."""
-    beams = batch.ranges.shape[1]
-    return bool((beams + 0.5) * abs(batch.angle_increment) >= math.tau)
+    return bool((batch.ranges.shape[1] + 0.5) * abs(batch.angle_increment) >= math.tau)
 
 
 @lru_cache(maxsize=64)

@@ -186,8 +186,7 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     def read(box: CellBox) -> Grids:
         return at_once or find_lasting(read_part(kept, box), chosen.min_passes)
 
-    bounds = bound_map(kept, read, model, chosen.min_passes)
-    box = choose_box(bounds, chosen.framing, lattice)
+    box = choose_box(bound_map(kept, read, model, chosen.min_passes), chosen.framing, lattice)
     return BlockMap(kept, read, model, chosen, box, lattice.resolution, find_decision(model))
 
 

@@ -193,8 +193,7 @@ def slice_clouds(posed: PosedScans, options: ReturnOptions) -> Rays:
         # Of several points of a beam the last one is kept, which is the nearest.
         direction[scan, beam], distance[scan, beam] = x_y / length[:, np.newaxis], length
         kind[scan, beam], origin[scan, 0] = Kind.HIT, sensor[:2]
-    stamp_ns = posed.batch.stamp_ns
-    return Rays.along(origin, direction, distance, kind, stamp_ns, full_circle=True)
+    return Rays.along(origin, direction, distance, kind, posed.batch.stamp_ns, full_circle=True)
 
 
 def list_away(posed: PosedScans) -> Iterator[tuple[Float64, Float64]]:

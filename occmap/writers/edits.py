@@ -103,8 +103,7 @@ def is_left_of(x: Float64, y: Float64, start: Float64, end: Float64) -> Bool:
     (x_start, y_start), (x_end, y_end) = start, end
     crosses = (y_start <= y) != (y_end <= y)
     rise = y_end - y_start or 1.0  # nothing crosses a level edge
-    inside: Bool = crosses & (x < x_start + (y - y_start) * (x_end - x_start) / rise)
-    return inside
+    return np.asarray(crosses & (x < x_start + (y - y_start) * (x_end - x_start) / rise))
 
 
 def measure_distance(x: Float64, y: Float64, start: Float64, end: Float64) -> Float64:
@@ -113,8 +112,7 @@ def measure_distance(x: Float64, y: Float64, start: Float64, end: Float64) -> Fl
     length = float(along @ along)
     share = (away[0] * along[0] + away[1] * along[1]) / length if length else 0.0
     nearest = np.clip(share, 0, 1)
-    apart: Float64 = np.hypot(away[0] - nearest * along[0], away[1] - nearest * along[1])
-    return apart
+    return np.asarray(np.hypot(away[0] - nearest * along[0], away[1] - nearest * along[1]))
 
 
 def apply_edits(grid: OccupancyMap, shapes: Sequence[Shape]) -> OccupancyMap:

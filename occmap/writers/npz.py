@@ -55,7 +55,7 @@ import numpy as np
 
 from occmap.cells import Evidence, Ground, Manifest, Slices, stack_tiles, sum_tiles, view_tiles
 from occmap.errors import MapError
-from occmap.types import Bool, Int64, UInt8
+from occmap.types import Bool, Int64
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import open_atomic
 
@@ -215,8 +215,7 @@ def unpack_evidence(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidenc
     if head["checksum"] != compute_checksum(head, arrays):
         found = "the checksum does not fit: the file was altered"
         raise MapError(found, where=path, fix="build it again")
-    observed: UInt8 = arrays["observed"]
-    seen = np.unpackbits(observed, axis=1).reshape(-1, SIDE, SIDE).astype(np.bool_)
+    seen = np.unpackbits(arrays["observed"], axis=1).reshape(-1, SIDE, SIDE).astype(np.bool_)
     width = max(arrays["first"].dtype.itemsize, arrays["second"].dtype.itemsize, 4)
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]

@@ -61,8 +61,7 @@ class EurocWriter(TumWriter):
     def write_pose(self, stamp_ns: int, pose: list[float]) -> str:
         """Write a line; the scalar part of the quaternion comes first."""
         *vector, scalar = pose
-        numbers = [*vector[:3], scalar, *vector[3:]]
-        return ",".join([str(stamp_ns), *map(write_number, numbers)])
+        return ",".join([str(stamp_ns), *map(write_number, [*vector[:3], scalar, *vector[3:]])])
 
 
 def write_number(number: float) -> str:
