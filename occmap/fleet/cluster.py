@@ -119,8 +119,7 @@ class Cluster:
             return [results[it] if it in results else self._wait_for(job, it) for job, it in pairs]
         except LOST as error:  # maybe while a result was fetched
             kept = sum(job.find_stub(setting.folder, task).exists() for job in jobs)
-            done = max(kept, len(results))
-            so_far = f"; {done} of {len(jobs)} tasks of {phase!r} are done"
+            so_far = f"; {max(kept, len(results))} of {len(jobs)} tasks of {phase!r} are done"
             raise self._explain(error, so_far, str(setting.folder)) from None
 
     def _wait_for(self, job: Job, future: Any) -> Any:

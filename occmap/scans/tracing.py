@@ -163,9 +163,7 @@ def ignore_progress(_scans: int, _total: int) -> None:
 
 
 class Reading:
-    """Logs whose scans are read one after the other, and nothing is mapped on the way.
-
-    Each log is read for its limits and leaps alone first, so that they hold from its first scan on.
+    """Logs that are open, with what is counted, timed and told while their scans are read.
 
     Raises
     ------
@@ -174,34 +172,37 @@ class Reading:
     """
 
     def __init__(self, paths: Sequence[Path], options: BuildOptions, progress: Progress) -> None:
-        self.options, self._logs = options, [open_log(path, options.reading) for path in paths]
-        self.total = sum(count_scans(log, options.selection.topics) for log in self._logs)
-        """Of what progress is told; more may be added to it"""
-        names = [str(log.path) for log in self._logs]
+        self.options, names = options, list(map(str, paths))
         self.tally = Tally(lambda scans: progress(scans, self.total), logs=names)
+        with self.tally.time("open"):
+            self.logs = [open_log(path, options.reading) for path in paths]
+        self.total = sum(count_scans(log, options.selection.topics) for log in self.logs)
+        """Of what progress is told; more may be added to it"""
 
     def list_drives(self) -> Iterator[Drive]:
         """Give the drive of each log, which is read before the next one is asked for.
+
+        Each is read for its limits and leaps alone first, so that they hold from its first scan on.
 
         Raises
         ------
         OccmapError
             As `open_drive`, of any of them.
         """
-        for drive in [open_drive(log, self.options) for log in self._logs]:
+        for drive in [open_drive(log, self.options) for log in self.logs]:
             drive.foresee()
             yield drive
             self.tally.note(drive.log.path, [*drive.list_notes(), *drive.log.notes])
 
     def list_rays(self) -> Iterator[Rays]:
-        """Read the usable scans of all logs, batch by batch.
+        """Read the usable scans of all logs, batch by batch, and map nothing on the way.
 
         Raises
         ------
         OccmapError
             As a build, also where no scan can be used, or a log holds clouds: these have no beams.
         """
-        for log in self._logs:
+        for log in self.logs:
             if settle_update([log], self.options).update is Update.CLOUD:
                 found = "holds clouds of points, and maps are scored by the beams of laser scans"
                 fix = "give a log of scans, or choose with `topics`"
@@ -238,13 +239,9 @@ def observe(
     OccmapError
         A log cannot be read, has no scans or no poses, or the map would be too large.
     """
-    tally = Tally(logs=list(map(str, paths)))
-    with tally.time("open"):
-        logs = [open_log(path, options.reading) for path in paths]
-    options = settle_update(logs, options)
-    counts = [count_scans(log, options.selection.topics) for log in logs]
-    tally.tell = lambda scans: progress(scans, sum(counts))
-    drives = (open_drive(log, options) for log in logs)
+    reading = Reading(paths, options, progress)
+    tally, options = reading.tally, settle_update(reading.logs, options)
+    drives = (open_drive(log, options) for log in reading.logs)
     if options.update is Update.CLOUD:  # which are read three times, by the same poses
         from occmap.scans.levelling import find_ground  # noqa: PLC0415  late: it brings numba
 
@@ -257,8 +254,9 @@ def observe(
     tiles = make_empty(plan_manifest(options))
     slices: list[Slices] = []
     begin = partial(make_engine, options, keep)
-    for drive, scans in zip(tally.time_each("poses", drives), counts, strict=True):
-        of_log = Tally(tally.tell, keep.choose_shown(scans * len(logs)))
+    for drive in tally.time_each("poses", drives):
+        scans = count_scans(drive.log, drive.topics) * len(paths)
+        of_log = Tally(tally.tell, keep.choose_shown(scans))
         engine = trace_drive(drive, begin, of_log)
         of_log.points.update(engine.points)
         tally.add(of_log)
