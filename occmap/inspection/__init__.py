@@ -43,10 +43,21 @@ BYTES_PER_CELL = 4 + 1 + 8
 WRONG_TO_CLEAR = "beams without return lead through walls: `no_return=clear` is wrong here"
 
 
-def judge_logs(
-    logs: Sequence[LogFindings], options: BuildOptions, notes: Sequence[str]
-) -> Inspection:
-    """Judge logs by what was found in and beside them, and by how large their map would be."""
+def inspect(paths: Sequence[Path], options: BuildOptions, notes: Sequence[str] = ()) -> Inspection:
+    """Look into logs, and judge them by what is in them, and by how large their map would be.
+
+    What would make a build fail is among the findings, and is not raised.
+
+    Parameters
+    ----------
+    paths
+        Recordings of any installed format.
+    options
+        Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
+    notes
+        Of `find_inputs`; those of damage become warnings.
+    """
+    logs = [inspect_path(path, options) for path in paths]
     lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
     box = reduce(CellBox.join, boxes) if boxes else None
     found, unseen = None, ""
@@ -288,21 +299,6 @@ __all__ = ["Inspection", "inspect"]
 
 MAX_LISTED_SHAPES = 5
 """How many shapes of a topic are told: the most frequent ones, and how many more there are"""
-
-
-def inspect(paths: Sequence[Path], options: BuildOptions, notes: Sequence[str] = ()) -> Inspection:
-    """Look into logs. What would make a build fail is among the findings, and is not raised.
-
-    Parameters
-    ----------
-    paths
-        Recordings of any installed format.
-    options
-        Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
-    notes
-        Of `find_inputs`; those of damage become warnings.
-    """
-    return judge_logs([inspect_path(path, options) for path in paths], options, notes)
 
 
 def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
