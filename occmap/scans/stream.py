@@ -69,7 +69,7 @@ class Selector:
             for scan in some.split() if isinstance(some, ScanBatch) else (some,):
                 reason = self._find_reason(scan)
                 self.see(scan, reason)
-                if reason is None and self._is_wanted(scan):
+                if reason is None and (isinstance(scan, Scan) or self._is_wanted(scan)):
                     yield scan
 
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
@@ -81,9 +81,9 @@ class Selector:
     def see_batch(self, batch: ScanBatch) -> None:
         """Take a look at scans that are used, of which some may have no pose."""
 
-    def _is_wanted(self, scan: Scan | Cloud) -> bool:
-        stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
-        return not isinstance(scan, Cloud) or self._wants(stamp_ns, len(scan.points))
+    def _is_wanted(self, cloud: Cloud) -> bool:
+        stamp_ns = self._stamps.choose(cloud.stamp_ns, cloud.record_ns)
+        return self._wants(stamp_ns, len(cloud.points))
 
     def _find_reason(self, scan: Scan | Cloud) -> LeftOut | None:
         if (flaw := find_flaw(scan)) is not None:
