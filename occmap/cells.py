@@ -32,7 +32,7 @@ Box: TypeAlias = tuple[float, float, float, float]
 Key: TypeAlias = tuple[int, int]
 """Row and column of a tile in the lattice of tiles."""
 Tile: TypeAlias = NDArray[np.signedinteger[Any]]
-"""(2, 64, 64) of int32, or int64 where sums may need it; row 0 is the lowest y."""
+"""(2, 64, 64), as wide as sums may need; row 0 is the lowest y."""
 
 
 def to_log_odds(probability: float) -> float:

@@ -63,8 +63,9 @@ class Counted(NamedTuple):
     @property
     def sharpness(self) -> float:
         """How few bins of heights the points fill: a floor that lies well fills few."""
-        many = self.table.counts[: int(self.table.used[0])].astype(np.float64)
-        return float((many**2).sum() / max(many.sum(), 1.0))
+        many = self.table.counts[: int(self.table.used[0])].ravel()
+        squares = np.einsum("i,i", many, many, dtype=np.float64)  # which copies nothing
+        return float(squares / max(int(many.sum(dtype=np.int64)), 1))
 
 
 class Counter:
@@ -106,7 +107,7 @@ class Counter:
             start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
             while (start := heights.count_heights(laid, table, start, place, listed)) < points:
-                table = grow_table(table, 2 * len(table.places))
+                table = grow_table(table)
             self._see(sensor, stamp_ns, cloud)
         with self._lock:
             self._idle.append(table)
@@ -124,7 +125,8 @@ class Counter:
         """Give what was counted."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
         views = {drawn: (view, sample_points(it)) for drawn, (view, it) in self._views.items()}
-        return Counted(add_tables(self._idle), paths, views, {})
+        self._idle = [add_tables(self._idle)]
+        return Counted(self._idle[0], paths, views, {})
 
     @property
     def way(self) -> Int64:
@@ -181,20 +183,20 @@ def make_table(size: int) -> Histogram:
     return Histogram(places, np.zeros((size // 2, heights.BINS), np.int32), used)
 
 
-def grow_table(table: Histogram, size: int) -> Histogram:
-    """Copy a table to one with room for more."""
-    grown = make_table(size)
-    heights.add_histogram(table, grown)
+def grow_table(table: Histogram) -> Histogram:
+    """Copy a table to one with room for twice as much."""
+    grown = make_table(2 * len(table.places))
+    heights.add_histogram(table, grown, 0)
     return grown
 
 
 def add_tables(tables: Iterable[Histogram]) -> Histogram:
-    """Add up tables."""
+    """Add tables to the first of them, or to a larger copy of it."""
     first, *others = [*tables] or [make_table(2)]
     for other in others:
-        size = 1 << (2 * int(first.used[0] + other.used[0])).bit_length()
-        first = grow_table(first, max(size, len(first.places)))
-        heights.add_histogram(other, first)
+        start = 0
+        while (start := heights.add_histogram(other, first, start)) < len(other.places):
+            first = grow_table(first)
     return first
 
 

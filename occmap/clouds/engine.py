@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from occmap.cells import CellBox, Ground, view_tiles
+from occmap.cells import CellBox, Ground, Key, Tile, view_tiles
 from occmap.clouds import CloudOptions
 from occmap.clouds.kernels import tracing
 from occmap.clouds.kernels.growth import BLOCK, Blocks
@@ -17,14 +17,16 @@ from occmap.grid.engine import Engine
 from occmap.grid.kernels import NEAR_WEIGHT
 from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_large
 from occmap.sensor import ReturnOptions
-from occmap.types import COLUMN_MM, Int32, Int64, PosedScans
+from occmap.types import COLUMN_MM, PosedScans
 
 SLACK_M = 0.096
 """The clearance grows from where poses that are off put the floor this high: 8 m by default."""
 MANY_TILES = 1 << 12
 """A sheet has room for so many, which is memory only once they are written to"""
-TILE_BYTES = TILE * TILE * 11
+TILE_BYTES = TILE * TILE * 7
 """What a tile takes: two counts, the ground, and what a cloud says of each cell"""
+MOST_CLOUDS = np.iinfo(np.int16).max // NEAR_WEIGHT
+"""So many fit the counts of a sheet, which are as narrow as they may be: memory is what is slow"""
 POINT_KINDS = ("ground", "obstacle", "above", "below", "too far", "no return")
 """What becomes of points, in the order of the kernel's counts"""
 
@@ -37,9 +39,9 @@ class Sheet:
         self.box, self._lattice, self._columns = box, lattice, columns
         self.points = np.zeros(COUNTS, np.int64)
         """How many points were of each kind"""
-        self.number = 0
-        """The slice of time of what it holds"""
-        self.room = tracing.make_room(0, 0)
+        self.number, self.clouds = 0, 0
+        """The slice of time of what it holds, and how many clouds that is"""
+        self.room = tracing.make_room(0)
         self.clear(MANY_TILES)
 
     def clear(self, tiles: int) -> None:
@@ -48,8 +50,8 @@ class Sheet:
         blocks = Blocks(table, np.array(self.box[:2], np.int64), np.zeros((tiles, 2), np.int64))
         base, cells = np.zeros(tiles, np.int32), tiles * TILE * TILE
         ground, state = np.zeros(cells, np.int16), np.zeros(cells, np.uint8)
-        counts, used = np.zeros(2 * cells, np.int32), np.zeros(1, np.int64)
-        layers = base, ground, state, counts, used, self.points
+        counts, used = np.zeros(2 * cells, np.int16), np.zeros(1, np.int64)
+        layers = base, ground, state, np.zeros(tiles, np.uint8), counts, used, self.points
         self.canvas = Canvas(self._columns, blocks, *layers, self._lattice.resolution)
 
     @property
@@ -65,30 +67,27 @@ class Sheet:
 
     def lay_out(self, box: CellBox) -> bool:
         """Lay out the tiles of a box that are not yet; say whether it has room for them."""
-        table = self.canvas.tiles.table[box.within(self.box)]
-        missing = int(np.count_nonzero(table == NOBODY_LOOKED))
-        has_room = self.used + missing <= len(self.canvas.base)
-        if missing and has_room:
-            inside = np.array(box.move(-self.box.row, -self.box.col))
-            tracing.lay_ground(self.canvas, inside, np.empty(TILE * TILE, np.int32))
-        return has_room
+        if (self.canvas.tiles.table[box.within(self.box)] != NOBODY_LOOKED).all():
+            return True
+        inside = np.array(box.move(-self.box.row, -self.box.col))
+        return bool(tracing.lay_ground(self.canvas, inside, np.empty(TILE * TILE, np.int32)))
 
-    def observe(self, cloud: Cloud, band: Band, tiles: int) -> None:
-        """Observe the cells of a cloud, which reaches so many tiles, all laid out."""
-        points, cells = len(cloud.points) // 3, min(tiles, self.used) * TILE * TILE
-        most_points, most_cells = len(self.room.floor), len(self.room.touched) - 1
-        if most_points < points or most_cells < cells:
-            self.room = tracing.make_room(max(points, most_points), max(cells, most_cells))
-        laid = lay_cloud(cloud, self.canvas.columns)
+    def observe(self, cloud: Cloud, band: Band) -> None:
+        """Observe the cells of a cloud, of which all tiles are laid out."""
+        if len(self.room.floor) < len(cloud.points) // 3:
+            self.room = tracing.make_room(len(cloud.points) // 3)
+        laid, self.clouds = lay_cloud(cloud, self.canvas.columns), self.clouds + 1
         tracing.trace_cloud(laid, band, self.canvas, self.room)
 
-    def empty(self) -> tuple[Int64, Int32]:
-        """Give the places of tiles in which something was observed, and their cells."""
+    def empty(self) -> tuple[dict[Key, Tile], int]:
+        """Give the tiles in which something was observed, as narrow as may be, and their bound."""
         cells = self.canvas.counts.reshape(-1, 2, TILE, TILE)[: self.used]
         seen = cells.any(axis=(1, 2, 3))
-        places, taken = self.canvas.tiles.places[: self.used][seen], cells[seen]
+        most = int(cells.max(initial=0))
+        taken = cells[seen].astype(np.min_scalar_type(-1 - most))
         cells[seen] = 0
-        return places, taken
+        self.clouds = 0
+        return view_tiles(self.canvas.tiles.places[: self.used][seen], taken), most
 
 
 def find_farthest(cloud: Cloud) -> float:
@@ -162,7 +161,7 @@ class CloudEngine(Engine):
         for number, cloud in zip(numbers, list_clouds(posed), strict=True):
             if self._box.cells > self._max_cells:
                 self._refuse_large(cloud)
-            if sheet.number != number:
+            if sheet.number != number or sheet.clouds == MOST_CLOUDS:
                 self._empty(sheet)
                 sheet.number = number
             box = sheet.reach(cloud, self._band.farthest)
@@ -170,7 +169,7 @@ class CloudEngine(Engine):
                 self._empty(sheet)
                 sheet.clear(max(MANY_TILES, box.cells))
                 sheet.lay_out(box)
-            sheet.observe(cloud, self._band, box.cells)
+            sheet.observe(cloud, self._band)
         with self._lock:
             self._idle.append(sheet)
 
@@ -186,9 +185,9 @@ class CloudEngine(Engine):
             refuse_large(surely, lattice, self._max_cells)
 
     def _empty(self, sheet: Sheet) -> None:
-        places, cells = sheet.empty()
-        if len(places):
-            self._keep(view_tiles(places, cells), int(cells.max()), sheet.number)
+        tiles, most = sheet.empty()
+        if tiles:
+            self._keep(tiles, most, sheet.number)
 
     @property
     def points(self) -> dict[str, int]:

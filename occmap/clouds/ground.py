@@ -221,9 +221,9 @@ def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOpti
     heights.count_apart(columns.pieces, height, (-DEEP_MM, *options.band_mm), deep, standing)
     is_open = ~measured & (height != NO_GROUND) & (standing < FEWEST_POINTS)
     reached = np.where(~measured & (deep >= FEWEST_POINTS), 0, NO_GROUND).astype(np.int32)
-    # A hole goes on as ground does: at a height of 0, to open columns, which have a peak there.
-    every = np.arange(len(height), dtype=np.int32)
-    ways = Peaks(every, is_open.astype(np.int32), np.zeros_like(every), np.ones_like(every))
+    # A hole goes on as ground does: at a height of 0, to open columns, which share a peak there.
+    zero, one = np.zeros(1, np.int32), np.ones(1, np.int32)
+    ways = Peaks(np.zeros_like(height), is_open.astype(np.int32), zero, one)
     fill(columns.blocks, reached, FILLED, ways)
     return np.asarray(is_open & (reached == 0))
 
@@ -360,19 +360,21 @@ def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
     keys, at = table.places[table.places[:, 0] != heights.EMPTY].T
     order = np.argsort(keys)  # column by column, and in each from the lowest piece
-    keys, counts = keys[order], table.counts[at[order]]
+    # Counts stay where they are, as they may be most of what is in memory.
+    keys, is_counted = keys[order], at[order]
     is_next = np.diff(keys >> heights.PIECE_BITS, prepend=-1) != 0
     places = unpack_columns(keys[is_next], path)
     many = np.zeros(len(places), np.int32)
     level, weight = np.empty((2, 8 * len(keys) + 8), np.int32)
-    found = heights.list_peaks(keys, counts, np.empty(heights.ROOM, np.int64), many, level, weight)
+    column = np.cumsum(is_next) - 1
+    pieces = Pieces(column, keys, is_counted, table.counts)
+    found = heights.list_peaks(pieces, np.empty(heights.ROOM, np.int64), many, level, weight)
     blocks = make_blocks(places, known)
     at = find_columns(blocks, places)
     first, of_column = np.zeros((2, len(blocks.places) << 2 * BLOCK_BITS), np.int32)
     first[at], of_column[at] = np.cumsum(many) - many, many
     peaks = Peaks(first, of_column, level[:found].copy(), weight[:found].copy())
-    pieces = Pieces(at[np.cumsum(is_next) - 1], keys, counts)
-    return Shown(blocks, peaks, len(places), pieces)
+    return Shown(blocks, peaks, len(places), pieces._replace(column=at[column]))
 
 
 def unpack_columns(keys: Int64, path: Int64) -> Int64:

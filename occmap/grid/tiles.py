@@ -59,7 +59,7 @@ class TileGrid:
         self._bounds: dict[Key, int] = {}
 
     def add(self, tiles: Mapping[Key, Tile], bound: int) -> None:
-        """Add what was observed to tiles at the same places, wider before a sum overflows 32 bits.
+        """Add what was observed to tiles at the same places, made wider before a sum overflows.
 
         The tiles now belong to the grid. They may be parts of one large array, which stays in
         memory while any of them is kept: so where some are not kept, the others are copied. A tile
@@ -77,8 +77,8 @@ class TileGrid:
             if mine is None:
                 self.tiles[key] = tile if kept_whole else tile.copy()
                 continue
-            if total > INT32_LIMIT:
-                mine = self.tiles[key] = mine.astype(np.int64, copy=False)
+            if total > np.iinfo(mine.dtype).max:
+                mine = self.tiles[key] = mine.astype(np.min_scalar_type(-1 - total))
             mine += tile
 
     def merge(self, other: Self) -> None:

@@ -107,6 +107,7 @@ def settle_ground(count: Count, options: BuildOptions, known: Ground | None) -> 
         return first._replace(notes=[*notes, *first.notes])
     posing = first.options.posing
     settled = replace(posing, height_drift=posing.height_drift or NO_DRIFT)
+    del counted  # what is counted may be most of what is in memory
     counted = count(replace(first.options, posing=settled), first.ground)
     ground, notes = derive_ground(counted, options.clouds, known, before=first.ground)
     return BuildGround(ground, [*notes, *first.notes], first.options)

@@ -135,7 +135,7 @@ def compute_checksum(head: dict[str, Any], arrays: Arrays) -> str:
     digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
     for name, array in arrays.items():
         digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 

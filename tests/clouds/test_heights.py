@@ -28,8 +28,9 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     for height, points in counts.items():
         bins[0, height] = points
     many, found_mm, weight = np.empty(1, np.int32), np.empty(8, np.int32), np.empty(8, np.int32)
-    room = np.empty(ROOM, np.int64)
-    found = list_peaks(np.array([pack(3, 4, 0)]), bins, room, many, found_mm, weight)
+    first = np.zeros(1, np.int64)
+    pieces = Pieces(first, np.array([pack(3, 4, 0)]), first, bins)
+    found = list_peaks(pieces, np.empty(ROOM, np.int64), many, found_mm, weight)
     # A peak lies in its bin, or up to half a bin from its middle towards its neighbour.
     low = np.array(heights) * BIN_MM
     assert len(heights) == found == many
@@ -65,7 +66,7 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
     first, many = lay({0: 0}, empty=0), lay({0: 3}, empty=0)
     heights = np.array([-280, -160, 0], np.int32)
     peaks = growth.Peaks(first, many, heights, np.array(weights, np.int32))
-    columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
+    columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((4, 0), np.int64)))
     found = ground.find_nothing(columns)
     ground.look_beside(
         columns, np.array([[75, 75, 900]]), (7, 0, 0), growth.Layer(700, 1300, growth.STRAY), found
@@ -87,7 +88,7 @@ def test_ground_is_where_the_robot_went_or_what_lies_low_around(
     level += (rise_mm * (COL - 31.5)).astype(np.int32)  # which is below the sensor
     first = np.arange(64 * 64, dtype=np.int32)
     peaks = growth.Peaks(first, many.ravel(), level.ravel(), np.ones_like(first))
-    columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
+    columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((4, 0), np.int64)))
     place = np.array([[4800 + x, 5200, 1000] for x in range(-reach_mm, reach_mm + 1, 10)])
     seat = ground.measure_seat(columns, {("log", "topic", "lidar"): place}, None)
     assert seat is not None
@@ -117,7 +118,7 @@ def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
     keys = np.array([pack(0, at, up >> 4) for at, up, _ in counted])
     counts = np.zeros((len(keys), BINS), np.int32)
     counts[np.arange(len(keys)), [up & 15 for _, up, _ in counted]] = [many for *_, many in counted]
-    pieces = Pieces(np.array([at for at, *_ in counted]), keys, counts)
+    pieces = Pieces(np.array([at for at, *_ in counted]), keys, np.arange(len(keys)), counts)
     columns = ground.Shown(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
     found = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
     assert np.flatnonzero(found).tolist() == list(holes)

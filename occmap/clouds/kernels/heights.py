@@ -68,9 +68,11 @@ class Pieces(NamedTuple):
     column: Int64
     """(P,) where the column of each lies in flat arrays"""
     keys: Int64
-    """(P,) as those of a histogram"""
+    """(P,) as those of a histogram, in ascending order"""
+    at: Int64
+    """(P,) where each is counted"""
     counts: Int32
-    """(P, 16) points in each bin"""
+    """(Q, 16) points in each bin, as those of a histogram"""
 
 
 @step
@@ -180,20 +182,21 @@ def list_heights(place: Float64, size: int, origin: Float64, listed: Int64) -> i
 
 
 @kernel
-def add_histogram(other: Histogram, table: Histogram) -> None:
-    """Add pieces of columns to a table that has room for all of them."""
-    for i in range(other.places.size // 2):
+def add_histogram(other: Histogram, table: Histogram, start: int) -> int:
+    """Add the pieces of columns from place `start` on; return where the table was full."""
+    for i in range(start, len(other.places)):
         key, at = other.places[i]
         if key != EMPTY:
+            if table.used[0] == len(table.counts):
+                return i
             here = find_piece(table, key)
             for j in range(BINS):
                 table.counts[here, j] += other.counts[at, j]
+    return len(other.places)
 
 
 @kernel
-def list_peaks(
-    keys: Int64, counts: Int32, bins: Int64, many: Int32, height: Int32, weight: Int32
-) -> int:
+def list_peaks(pieces: Pieces, bins: Int64, many: Int32, height: Int32, weight: Int32) -> int:
     """List the local peaks of columns, lowest first; return how many.
 
     A peak is three bins that hold more than those beside them, and at least 35% of the points
@@ -201,8 +204,6 @@ def list_peaks(
 
     Parameters
     ----------
-    keys, counts
-        Pieces in ascending order of their keys.
     bins
         (`ROOM`,) to work with.
     many
@@ -210,7 +211,7 @@ def list_peaks(
     height, weight
         Filled with the height of each peak (mm), and its points.
     """
-    found, start, column = 0, 0, 0
+    keys, found, start, column = pieces.keys, 0, 0, 0
     while start < keys.size:
         before, stop = found, start
         first = last = keys[start] & PIECE
@@ -224,7 +225,7 @@ def list_peaks(
             for i in range(start, stop):
                 at = ((keys[i] & PIECE) - first) * BINS + AROUND
                 for j in range(BINS):
-                    bins[at + j] = counts[i, j]
+                    bins[at + j] = pieces.counts[pieces.at[i], j]
             bottom = (first - HALF) * BINS
             total = 0
             for i in range(2 * AROUND + 1):
@@ -266,12 +267,12 @@ def count_apart(
         (C,) the points are added.
     """
     for i in range(pieces.keys.size):
-        at = pieces.column[i]
+        at, counts = pieces.column[i], pieces.counts[pieces.at[i]]
         bottom = ((pieces.keys[i] & PIECE) - HALF) * BINS * BIN_MM - height[at]
         for j in range(BINS):
             above = bottom + j * BIN_MM
-            deep[at] += pieces.counts[i, j] if above < limits[0] else 0
-            standing[at] += pieces.counts[i, j] if limits[1] < above < limits[2] else 0
+            deep[at] += counts[j] if above < limits[0] else 0
+            standing[at] += counts[j] if limits[1] < above < limits[2] else 0
 
 
 @kernel

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.clouds.kernels import growth
-from occmap.clouds.kernels.growth import BLOCK, STEPPED, Blocks, find_column, find_under, locate
+from occmap.clouds.kernels.growth import BLOCK, STEPPED, Blocks, find_column, find_under
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.clouds.kernels.laying import Columns, ground_at
 from occmap.grid.kernels import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
@@ -51,7 +51,7 @@ PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
 have met the wall on the other side, but at most 12 beyond the floor, to 20 before that"""
 RIM = 4 / 3
 """So many steps before the end of the floor is its rim: poses that are off blur it"""
-TOUCHED, FLOORS, HIGHS = range(3)
+FLOORS, HIGHS = range(2)
 """Places in the numbers of what a cloud left in its room"""
 RING_M, RINGS = 1.0, 64
 """How wide the rings around the sensor are, by which beams are told that end nearer than a cell;
@@ -74,7 +74,9 @@ class Canvas(NamedTuple):
     """(4096 T,) height of the ground over that of the tile (mm)"""
     state: UInt8
     """(4096 T,) what the cloud at hand says"""
-    counts: Int32
+    is_touched: UInt8
+    """(T,) whether it says anything of a tile"""
+    counts: Int16
     """(2 * 4096 T,) hits of all cells of a tile, and then their misses"""
     used: Int64
     """(1,) how many tiles have a place"""
@@ -85,8 +87,8 @@ class Canvas(NamedTuple):
 
 
 @kernel
-def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> None:
-    """Give the tiles of a box that have ground a place, of which there must be enough.
+def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> bool:
+    """Give the tiles of a box that have ground a place; return whether there were enough of these.
 
     Parameters
     ----------
@@ -113,6 +115,8 @@ def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> None:
             if lowest == HIGHEST:
                 table[up, right] = -1
                 continue
+            if tile == len(canvas.base):
+                return False
             canvas.used[0] += 1
             table[up, right], canvas.base[tile] = tile, lowest
             places[tile, 0], places[tile, 1] = corner[0] + up, corner[1] + right
@@ -121,6 +125,7 @@ def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> None:
                     canvas.state[tile * CELLS + i] = UNKNOWN
                 else:
                     canvas.ground[tile * CELLS + i] = min(heights[i] - lowest, 32767)
+    return True
 
 
 class Band(NamedTuple):
@@ -205,24 +210,22 @@ class Room(NamedTuple):
     floor_steep: Float64
     floor_bearing: Int16
     """(N,) each: how far it is, and how and where it is seen"""
-    touched: Int32
-    """(M,) room for the places of cells, and one more"""
     used: Int64
-    """(3,) how many are `TOUCHED`, and how many points are `FLOORS` and `HIGHS`: hits by high
-    beams"""
+    """(2,) how many points are `FLOORS` and `HIGHS`: hits by high beams"""
+    weight: Int16
+    """(64,) of looks at a row of cells"""
 
 
-def make_room(points: int, cells: int) -> Room:
-    """Make room for clouds of so many points, and for so many cells."""
+def make_room(points: int) -> Room:
+    """Make room for clouds of so many points."""
     right, up, sector, ring, level = np.empty((5, SOME), np.int32)
     far, clear = np.empty((2, SOME))
     some = Aside(np.empty((3, SOME)), right, up, far, sector, ring, level, clear)
     apart, ends = np.empty((2, 2, SECTORS), np.int64)
     seen = np.empty(points, np.int32), np.empty(points, np.int64), np.empty(points)
-    bearing, touched = np.empty(points, np.int16), np.empty(cells + 1, np.int32)
     steep, lowest = np.empty(SECTORS), np.empty((RINGS, SECTORS), np.float32)
-    used = np.empty(3, np.int64)
-    return Room(some, apart, ends, steep, lowest, *seen, bearing, touched, used)
+    bearing, weight = np.empty(points, np.int16), np.empty(BLOCK, np.int16)
+    return Room(some, apart, ends, steep, lowest, *seen, bearing, np.empty(2, np.int64), weight)
 
 
 class View(NamedTuple):
@@ -325,7 +328,7 @@ def note_point(i: int, at: int, kind: int, view: View, canvas: Canvas, room: Roo
     slope = ((some.level[i] if kind else floor) - view.level) / some.apart[i]
     is_high = some.level[i] - floor >= view.low
     if kind:
-        touch(at, HIT if is_high else HIT | LOW, canvas, room)
+        touch(at, HIT if is_high else HIT | LOW, canvas)
     # A low hit is written, too, so that there is no branch, and the next hit goes over it. Points
     # take one place each at most, so the ends never meet.
     keep = -1 - used[HIGHS] if kind else used[FLOORS]
@@ -411,7 +414,7 @@ def mark_drops(size: int, under: int, view: View, canvas: Canvas, room: Room) ->
         at = find_column(canvas.tiles, row, col)
         if (right == 0 and up == 0) or at < 0 or canvas.state[at] & UNKNOWN:
             continue
-        touch(at, HIT | LOW, canvas, room)
+        touch(at, HIT | LOW, canvas)
         far = right * right + up * up
         apart = np.sqrt(float(far))
         end, slope = (row - view.row, col - view.col), rise / apart
@@ -438,12 +441,10 @@ def is_face(columns: Columns, some: Aside, i: int, high: int) -> bool:
 
 
 @step
-def touch(at: int, says: int, canvas: Canvas, room: Room) -> None:
+def touch(at: int, says: int, canvas: Canvas) -> None:
     """Mark what the cloud says of a cell."""
-    # The room behind the last place is free; a cell without ground is never 0.
-    room.touched[room.used[TOUCHED]] = at
-    room.used[TOUCHED] += canvas.state[at] == 0
     canvas.state[at] |= says
+    canvas.is_touched[at >> 2 * BLOCK_BITS] = 1
 
 
 @step
@@ -480,7 +481,7 @@ def free_floor(canvas: Canvas, room: Room) -> None:
         is_behind = far > room.apart[OBSTACLE, bearing]
         is_beneath = is_behind and room.floor_steep[i] < room.steep[bearing]
         if canvas.state[at] == 0 and not is_beneath:
-            touch(at, LOW, canvas, room)
+            touch(at, LOW, canvas)
 
 
 @step
@@ -510,18 +511,38 @@ def clear_bearings(view: View, canvas: Canvas, room: Room) -> None:
 
 @step
 def count_looks(view: View, canvas: Canvas, room: Room) -> None:
-    """Count what the cloud says of the cells that it touched, and forget it."""
-    state, near = canvas.state, NEAR_M / canvas.resolution
-    for i in range(room.used[TOUCHED]):
-        at = room.touched[i]
-        tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
-        row, col = locate(canvas.tiles, at)
-        up, right = row - view.row, col - view.col
-        is_near = up * up + right * right < near * near
-        weight = NEAR_WEIGHT if is_near and state[at] & LOW else FAR_WEIGHT
-        layer = 2 * tile + (0 if state[at] & HIT else 1)
-        canvas.counts[layer * CELLS + inside] += weight
-        state[at] = 0
+    """Count what the cloud says of cells, and forget it."""
+    for tile in range(canvas.used[0]):
+        if canvas.is_touched[tile]:
+            canvas.is_touched[tile] = 0
+            count_tile(tile, view, canvas, room.weight)
+
+
+@kernel
+def count_tile(tile: int, view: View, canvas: Canvas, weight: Int16) -> None:
+    """Count what the cloud says of a tile, a row at a time: processors count many cells at once."""
+    start, near = tile * CELLS, (NEAR_M / canvas.resolution) ** 2
+    row = (canvas.tiles.places[tile, 0] << BLOCK_BITS) - view.row
+    col = (canvas.tiles.places[tile, 1] << BLOCK_BITS) - view.col
+    for at in range(start, start + CELLS, BLOCK):
+        state, says = canvas.state[at : at + BLOCK], 0
+        for i in range(BLOCK):
+            says |= state[i] & (LOW | HIT | HIGH)
+        if says:
+            # Cells of the row are near up to so many columns away, and less.
+            square = near - (row + ((at - start) >> BLOCK_BITS)) ** 2
+            away = int(np.sqrt(max(square, 0.0)))
+            away += away * away < square
+            weight[:] = FAR_WEIGHT
+            for i in range(max(1 - away - col, 0), min(away - col, BLOCK)):
+                weight[i] = NEAR_WEIGHT if state[i] & LOW else FAR_WEIGHT
+            hits = canvas.counts[at + start : at + start + BLOCK]
+            misses = canvas.counts[at + start + CELLS : at + start + CELLS + BLOCK]
+            for i in range(BLOCK):
+                look = np.int16(0) if state[i] == 0 or state[i] & UNKNOWN else weight[i]
+                hits[i] += look if state[i] & HIT else np.int16(0)
+                misses[i] += np.int16(0) if state[i] & HIT else look
+                state[i] &= UNKNOWN
 
 
 @kernel
@@ -533,7 +554,6 @@ def clear_line(view: View, away: tuple[int, int], bearing: int, canvas: Canvas, 
     away
         Rows up and columns right to the last cell.
     """
-    many, touched, state = room.used[TOUCHED], room.touched, canvas.state
     (up, right), row, col, slopes = away, view.row, view.col, room.lowest[:, bearing]
     high, low = view.band.high, view.low
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
@@ -551,14 +571,12 @@ def clear_line(view: View, away: tuple[int, int], bearing: int, canvas: Canvas, 
         at, moved = find_column(canvas.tiles, row, col), (rest + 2 * fewer * left) // (2 * steps)
         row_step, col_step = row_way << BLOCK_BITS, col_way
         ahead_step, aside_step = (row_step, col_step) if is_steep else (col_step, row_step)
+        canvas.is_touched[max(at, 0) >> 2 * BLOCK_BITS] = 1
         going, level = rest, view.level - (canvas.base[at >> 2 * BLOCK_BITS] if at >= 0 else 0)
         for k in range(done, done + left if at >= 0 else done):
             above = level + slopes[find_ring(view, k * pace)] * (k * pace) - canvas.ground[at]
             says = 0 if above >= high else LOW if above < low else HIGH
-            # As `touch` does it, with the number in a register.
-            touched[many] = at
-            many += says != 0 and state[at] == 0
-            state[at] |= says
+            canvas.state[at] |= says
             # Halves are rounded away from the first cell.
             going += 2 * fewer
             turns = going >= 2 * steps
@@ -568,4 +586,3 @@ def clear_line(view: View, away: tuple[int, int], bearing: int, canvas: Canvas, 
         rest += 2 * fewer * left - 2 * steps * moved
         row += row_way * (left if is_steep else moved)
         col += col_way * (moved if is_steep else left)
-    room.used[TOUCHED] = many
