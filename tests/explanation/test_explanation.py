@@ -69,7 +69,7 @@ def choose_points(evidence: Evidence, amount: int) -> list[tuple[float, float]]:
 @each_combination
 def test_scans_of_the_drive_add_up(update: Update, model: str) -> None:
     evidence = save(Path("m.npz"), choose(update, model))
-    for point in choose_points(evidence, 4):
+    for point in choose_points(evidence, 2):
         found = ask(evidence, point, DRIVE)
         assert found.seen.observations
         assert found.explained == found.seen

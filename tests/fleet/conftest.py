@@ -1,4 +1,4 @@
-"""A cluster of processes on this machine, for all tests."""
+"""A cluster of processes on this machine, for all tests here."""
 
 from collections.abc import Iterator
 
@@ -10,12 +10,13 @@ PATIENCE_S = 15
 """A worker that a test killed is there again sooner, unless it was killed while it started."""
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")  # idle workers take a tenth of a core
 def clusters() -> Iterator[list[LocalCluster]]:
     """The cluster that tests use, once there is one."""
     started: list[LocalCluster] = []
     # At times a worker that a test killed is asked for a result: for half a minute, by default.
-    with dask.config.set({"distributed.comm.timeouts.connect": "5s"}):
+    timeout, profile = "distributed.comm.timeouts.connect", "distributed.worker.profile.enabled"
+    with dask.config.set({timeout: "5s", profile: False}):  # to profile takes time
         yield started
     for cluster in started:
         cluster.close()

@@ -107,12 +107,13 @@ def test_batches_windows_order_and_merging_change_nothing(
 ) -> None:
     rays, resolution = drive
     spec = all_specs(resolution)[kind_of_map]
-    whole, slices = scans.observe(spec, [rays]), keep(spec, [rays])
+    whole, slices = observe_both(spec, [rays])
     alone = [scans.take(rays, [s]) for s in range(len(rays.kind))]
     for order in islice(permutations(range(len(alone))), 0, None, 5):
         for batches in ([scans.take(rays, list(order))], [alone[s] for s in order]):
-            assert scans.observe(spec, batches, window_cells) == whole
-            scans.assert_same_slices(keep(spec, batches, window_cells), slices)
+            found, kept = observe_both(spec, batches, window_cells)
+            assert found == whole
+            scans.assert_same_slices(kept, slices)
     parts = [scans.observe(spec, [scan]) for scan in alone]
     for layer in (0, 1):
         merged: Counter[reference.Cell] = Counter()
@@ -343,18 +344,19 @@ def spread_visits(slices: Slices) -> dict[Cell, tuple[int, int]]:
     return found
 
 
-def keep(
+def observe_both(
     spec: GridSpec, batches: list[Rays], window_cells: int = WINDOW_CELLS, slice_ns: int = SLICE
-) -> Slices:
-    """Which slices are kept; the evidence is that of an engine without any."""
+) -> tuple[scans.Evidence, Slices]:
+    """The evidence, which is that of an engine without slices, and which of these are kept."""
     engine = GridEngine(spec, window_cells, slice_ns=slice_ns)
     plain = GridEngine(spec, window_cells)
     for rays in batches:
         engine.add(rays)
         plain.add(rays)
-    assert scans.read_cells(engine.finish()) == scans.read_cells(plain.finish())
+    grid = engine.finish()
+    assert scans.are_equal(grid.tiles, plain.finish().tiles)
     (slices,) = engine.read_slices()
-    return slices
+    return scans.read_cells(grid), slices
 
 
 @KINDS_OF_MAP
@@ -370,7 +372,7 @@ def test_slices_are_those_of_the_scans_that_observed_a_cell(
 ) -> None:
     rays, resolution = data.draw(scene())
     spec = all_specs(resolution)[kind_of_map]
-    slices = keep(spec, [rays], window_cells, slice_ns)
+    _, slices = observe_both(spec, [rays], window_cells, slice_ns)
     expected = look_scan_by_scan(spec, rays, slice_ns)
     assert spread(slices) == expected
     assert spread_visits(slices) == {cell: seen.count_visits() for cell, seen in expected.items()}
@@ -412,12 +414,12 @@ def test_a_visit_that_hits_again_and_again_is_one(hits: list[int], visits: int) 
     rays = one_beam([0, 10, 20, 30, 40, 50, 100, 110])
     rays.distance[~np.isin(rays.stamp_ns, hits)] = 4
     rays.distance[rays.stamp_ns == 30] = 1
-    slices = keep(all_specs(1.0)[0], [rays])
+    _, slices = observe_both(all_specs(1.0)[0], [rays])
     assert spread_visits(slices)[0, 2] == (visits, 3)
 
 
 def test_every_stamp_that_there_can_be_has_a_slice() -> None:
-    slices = keep(all_specs(1.0)[0], [one_beam([LIMITS.min, -1, 0, LIMITS.max])])
+    _, slices = observe_both(all_specs(1.0)[0], [one_beam([LIMITS.min, -1, 0, LIMITS.max])])
     first, last = LIMITS.min // SLICE, LIMITS.max // SLICE
     assert spread(slices)[0, 2].hit == {int(first), -1, 0, int(last)}
     assert spread_visits(slices)[0, 2] == (3, 3)
