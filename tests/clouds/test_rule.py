@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from occmap.clouds import CloudOptions
+from occmap.clouds import CloudOptions, engine
 from occmap.clouds.counting import Counter, count_clouds
 from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, UsageError
@@ -244,12 +244,16 @@ def test_neither_the_order_of_points_nor_that_of_clouds_counts() -> None:
     np.testing.assert_array_equal(count(observe(posed, ground)), count(observe(mixed, other)))
 
 
-def test_halves_over_one_ground_add_up_to_the_whole() -> None:
+def test_halves_over_one_ground_and_in_small_sheets_add_up_to_the_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     posed = drive(Room([BOX]), clouds=8)
     ground = find_ground(posed)
 
     whole = count(observe(posed, ground))
 
+    monkeypatch.setattr(engine, "MANY_TILES", 1)
+    monkeypatch.setattr(engine, "MOST_CLOUDS", 1)
     halves = [count(observe(some, ground)) for some in (posed[:3], posed[3:])]
     np.testing.assert_array_equal(sum(halves), whole)
 

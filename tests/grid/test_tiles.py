@@ -16,13 +16,18 @@ from occmap.grid.tiles import TILE, EvidenceKind
 from tests.grid import scans
 
 
-def test_a_tile_widens_before_a_sum_can_overflow() -> None:
-    grid = scans.make_grid({(0, 0): (tiles.INT32_LIMIT, 0)})
-    assert grid.tiles[0, 0].dtype == np.int32
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_a_tile_widens_before_a_sum_can_overflow(bits: int) -> None:
+    most = 2 ** (bits - 1) - 1
+    grid, tile = scans.make_grid(), np.zeros((2, TILE, TILE), f"i{bits // 8}")
+    tile[0, 0, 0] = most - 1
+    grid.add({(0, 0): tile}, most - 1)
+    scans.add_cell(grid, 0, 0, 1, 1)
+    assert grid.tiles[0, 0].itemsize == bits // 8
     scans.add_cell(grid, 0, 0, 1, 5)
-    assert grid.tiles[0, 0].dtype == np.int64
+    assert grid.tiles[0, 0].itemsize == bits // 4
     scans.add_cell(grid, 0, 1, 0, 7)
-    assert scans.read_cells(grid) == ({(0, 0): tiles.INT32_LIMIT + 1}, {(0, 0): 5, (0, 1): 7})
+    assert scans.read_cells(grid) == ({(0, 0): most + 1}, {(0, 0): 6, (0, 1): 7})
 
 
 def test_a_sum_that_was_widened_is_never_narrowed() -> None:

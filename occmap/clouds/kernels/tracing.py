@@ -571,7 +571,8 @@ def clear_line(view: View, away: tuple[int, int], bearing: int, canvas: Canvas, 
         at, moved = find_column(canvas.tiles, row, col), (rest + 2 * fewer * left) // (2 * steps)
         row_step, col_step = row_way << BLOCK_BITS, col_way
         ahead_step, aside_step = (row_step, col_step) if is_steep else (col_step, row_step)
-        canvas.is_touched[max(at, 0) >> 2 * BLOCK_BITS] = 1
+        if at >= 0:
+            canvas.is_touched[at >> 2 * BLOCK_BITS] = 1
         going, level = rest, view.level - (canvas.base[at >> 2 * BLOCK_BITS] if at >= 0 else 0)
         for k in range(done, done + left if at >= 0 else done):
             above = level + slopes[find_ring(view, k * pace)] * (k * pace) - canvas.ground[at]
