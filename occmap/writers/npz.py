@@ -247,7 +247,7 @@ def narrow(values: Int64) -> Any:
     """Convert integers to the smallest signed type that holds them all."""
     low, high = int(values.min(initial=0)), int(values.max(initial=0))
     width = np.min_scalar_type(min(low, -1 - high))  # of a number below 0, so it is signed
-    return values.astype(width.newbyteorder("<"))
+    return values.astype(width.newbyteorder("<"), copy=False)
 
 
 def pack_slices(layers: Sequence[Slices]) -> Arrays:
