@@ -80,7 +80,7 @@ def kill_worker(address: str, folder: Path, pattern: str) -> Iterator[None]:
     killer.join()
 
 
-@pytest.mark.parametrize("phase", ["*/*.trace_log", "*/*.reduce_block"])
+@pytest.mark.parametrize("phase", ["*/*.survey_log", "*/*.trace_log", "*/*.reduce_block"])
 def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase: str) -> None:
     with kill_worker(address, tmp_path / "scratch", phase):
         build_by(address, tmp_path)
@@ -114,7 +114,7 @@ def start_build(address: str, scratch: Path, output: Path) -> subprocess.Popen[s
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-@pytest.mark.parametrize("phase", ["*/*.survey_log", "*/*.reduce_block"])
+@pytest.mark.parametrize("phase", ["*/*.survey_log", "*/*.trace_log", "*/*.reduce_block"])
 def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     address: str, tmp_path: Path, expected: bytes, phase: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
