@@ -13,6 +13,7 @@ import textwrap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from datetime import UTC, datetime
 from enum import EnumType
 from functools import cache
 from numbers import Real
@@ -190,6 +191,15 @@ PLACE = Form(
 )
 
 
+def _read_time(value: Any) -> float:
+    """Make a stamp (s) of a number, or of a date, which is in UTC unless it says otherwise."""
+    try:
+        return _read_finite(value)
+    except UsageError:
+        date = datetime.fromisoformat(value)
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+
+
 def _read_drift(value: Any) -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
     if value == "off":
         return {}
@@ -208,6 +218,7 @@ TRANSFORM = Form(
     "parent,child,x,y,z,roll,pitch,yaw in metres and radians",
     lambda it: format_static(it.parent, it.child, it.pose),
 )
+TIME = Form(_read_time, "seconds, or a date such as 2026-11-02T08:00")
 DRIFT = Form(_read_drift, '"off"', lambda _drift: "off")
 GLOBE = _make_form(3, "latitude,longitude,yaw in degrees, such as 52.5,13.4,30")
 TILT = _make_form(2, "roll,pitch in degrees, such as 2.5,-1")

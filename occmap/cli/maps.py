@@ -65,12 +65,15 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
     return put_out(console, [*paths, *taken], lambda: combine(paths, taken, lay), values)
 
 
+OF_SAVED = list_options(RenderOptions, "Map")
+
+
 @command(
     "render",
     Report,
     click.Argument(["paths"], nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR"),
     *(*options.WRITING, *options.fields(list_options(Framing))),
-    options.field(list_options(RenderOptions, "Map")["overview"]),
+    *(options.field(OF_SAVED[name]) for name in ("since_s", "until_s", "overview")),
     *(*options.KEPT_CELLS, *options.SAVED_MODEL, LIMIT),
 )
 def render_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> Answer:
@@ -83,6 +86,7 @@ def render_command(console: Console, /, paths: tuple[Path, ...], **values: Any) 
       occmap render map.npz -o map.pgm --model simple --p-hit 0.8
       occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
       occmap render map.npz -o room.png --extent 0,0,5,4
+      occmap render map.npz -o fresh.png --since 2026-11-02
       occmap render city.zarr -o city.png --overview 16
     """
     if len(paths) > 1:

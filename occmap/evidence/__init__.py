@@ -256,6 +256,30 @@ def list_contradictions(hits: tuple[int, int], points: Mapping[str, int]) -> Ite
         )
 
 
+def keep_seen(part: Evidence, since_s: float | None, until_s: float | None) -> Evidence:
+    """Keep what was observed of cells that were seen in a span of time, and its slices.
+
+    Parameters
+    ----------
+    since_s, until_s
+        Stamps (s) in the first and the last slice of time; None: no slice is too early, or too late.
+    """
+    if since_s is None and until_s is None:
+        return part
+    gap = part.manifest.pass_gap_s
+    first = -math.inf if since_s is None else since_s // gap
+    last = math.inf if until_s is None else until_s // gap
+    slices, seen = list[Slices](), dict[Key, Tile]()
+    for each in part.slices:
+        inside = (first <= each.numbers) & (each.numbers <= last)
+        slices.append(tiles.take_tiles(each, np.flatnonzero(inside)))
+    for key, of_tile in tiles.split_tiles(tiles.unite(slices)):
+        if key in part.tiles:
+            bits = np.bitwise_or.reduce(tiles.unpack_bits(of_tile)[:, 1])
+            seen[key] = part.tiles[key] * np.unpackbits(bits, axis=1)
+    return replace(part, tiles=tiles.drop_empty(seen), slices=tuple(slices))
+
+
 MUCH = 0.25
 """A note is given if this share of the occupied cells is lost: people are seldom so many."""
 

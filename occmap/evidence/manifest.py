@@ -214,7 +214,9 @@ def describe_about(
     writing, framing = options.writing, options.framing
     drawn = [[s.change, [ring.tolist() for ring in s.rings], s.width] for s in writing.shapes]
     given = write_value(writing) | write_value(framing)
-    given |= {"min_passes": options.min_passes, "edits": drawn or None}
+    given["edits"] = drawn or None
+    # Only what is saved is shown as of a time.
+    given |= {name: getattr(options, name, None) for name in ("min_passes", "since_s", "until_s")}
     usual = write_value(type(writing)()) | write_value(type(framing)())
     # An option that a later version adds changes no name where nobody gives it.
     how = {name: value for name, value in given.items() if value != usual.get(name)}

@@ -81,8 +81,8 @@ class Window(ABC):
     def observe(self, beams: Beams) -> None:
         """Observe what lies in the box."""
         corner = np.array([self.box.col, self.box.row]) * UNITS_PER_CELL - beams.anchor
-        # Kernels that clip no beam are compiled sooner.
-        clipped = None if self.box.contains(beams.box) else True
+        # Kernels that clip no beam are compiled sooner; what is filled is clipped row by row.
+        clipped = True if self.along_lines and not self.box.contains(beams.box) else None
         self.trace(beams, Field(corner, self.cells.reshape(-1), self.changes, clipped))
         self.observations += count_observations(beams.rays, self.spec)[0]
         touched = self.box.clip(beams.box).align(TILE)

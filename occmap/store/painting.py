@@ -15,7 +15,7 @@ import numpy as np
 
 from occmap import evidence, writers
 from occmap.cells import About, Box, CellBox, CellClass, Decision, Evidence, Manifest, OccupancyMap
-from occmap.choices import check_bounds, option
+from occmap.choices import TIME, check_bounds, option
 from occmap.errors import MapError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
 from occmap.grid import Lattice, rendering
@@ -57,6 +57,16 @@ class RenderOptions:
     framing: Framing = field(default_factory=Framing)
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
+    since_s: float | None = option(
+        None,
+        "Show only what was still seen at this time or later: seconds as in the log's stamps, or a "
+        "date such as 2026-11-02T08:00, in UTC. Slices of time (--pass-gap) count as a whole.",
+        metavar="TIME",
+        form=TIME,
+    )
+    until_s: float | None = option(
+        None, "Show only what was seen at this time or before.", metavar="TIME", form=TIME
+    )
     overview: int | None = option(
         None,
         "Make each pixel N x N cells, quickly, from the pictures in a .zarr: 4, 16, 64 ...",
@@ -181,23 +191,24 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     """
     chosen, lattice = options or RenderOptions(), Lattice(source.manifest.resolution)
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
-    at_once = source.whole and find_lasting(source.whole, chosen.min_passes)
+    at_once = source.whole and find_lasting(source.whole, chosen)
 
     def read(box: CellBox) -> Grids:
-        return at_once or find_lasting(read_part(kept, box), chosen.min_passes)
+        return at_once or find_lasting(read_part(kept, box), chosen)
 
-    box = choose_box(bound_map(kept, read, model, chosen.min_passes), chosen.framing, lattice)
+    box = choose_box(bound_map(kept, read, model, chosen), chosen.framing, lattice)
     return BlockMap(kept, read, model, chosen, box, lattice.resolution, find_decision(model))
 
 
-def find_lasting(part: Evidence, min_passes: int | None) -> Grids:
-    """What was observed, and what of that lasts."""
-    grid = evidence.to_grid(part)
-    return grid, evidence.keep_lasting(grid, part.slices, min_passes)
+def find_lasting(part: Evidence, options: RenderOptions) -> Grids:
+    """What was observed when the user wants to know, and what of that lasts."""
+    seen = evidence.keep_seen(part, options.since_s, options.until_s)
+    grid = evidence.to_grid(seen)
+    return grid, evidence.keep_lasting(grid, seen.slices, options.min_passes)
 
 
 def bound_map(
-    source: Blocks, read: Callable[[CellBox], Grids], model: SensorModel, min_passes: int | None
+    source: Blocks, read: Callable[[CellBox], Grids], model: SensorModel, options: RenderOptions
 ) -> CellBox:
     """The smallest box around all cells of a map; only blocks that may reach its edges are read.
 
@@ -223,7 +234,10 @@ def bound_map(
             if box := measure(part):
                 farthest = max(farthest, outward * box[side])
         if math.isinf(farthest):
-            rendering.refuse_nothing_left(min_passes if reach else None)
+            if reach and (options.since_s, options.until_s) != (None, None):
+                found = "nothing was observed, or lasts, of the time that is asked for"
+                raise MapError(found, fix="`occmap explain` says when a cell was seen")
+            rendering.refuse_nothing_left(options.min_passes if reach else None)
         edges.append(int(outward * farthest))
     return CellBox(*edges)
 
@@ -355,9 +369,10 @@ def read_overview(store: Blocks, side: int, options: RenderOptions) -> Occupancy
     """
     if store.root is None:
         raise UsageError("`overview` goes with a store", where=store.where, fix="leave it out")
-    if options.model or options.min_passes:
+    chosen = options.model, options.min_passes, options.since_s, options.until_s
+    if any(each is not None for each in chosen):
         found = "the pictures in a store show what its own model decided of all that was observed"
-        raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
+        raise UsageError(found, fix="leave out `overview`, or model, `min_passes` and times")
     with refuse_damage(Path(store.where)):
         arrays = {int(name): array for name, array in store.root["classes"].arrays()}
     if side not in arrays:

@@ -369,6 +369,7 @@ def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_ctrl_c_waits_for_workers_to_start_and_never_reaches_them() -> None:
     masked = set[int]()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job may ignore it
     with pytest.raises(KeyboardInterrupt), hold_signals() as let_go:  # noqa: PT012  one by one
         signal.raise_signal(signal.SIGINT)
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as started:

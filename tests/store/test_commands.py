@@ -6,11 +6,12 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from occmap import build_map
+from occmap import build_map, merge
 from occmap.difference.maps import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
@@ -97,6 +98,31 @@ def test_a_part_of_a_map_is_that_of_the_whole(
     assert found["map"]["extent"] == [float(edge) for edge in box.split(",")]
     in_parts = occmap(f"render {built}/whole.zarr -o {tmp_path}/m.tif {wanted}")
     assert in_parts.json["map"] == found["map"]
+
+
+@pytest.mark.parametrize(
+    ("span", "scans"),
+    [
+        ({"since_s": "2023-11-14T22:13:39"}, {"start_s": 19.0}),
+        ({"until_s": 1700000018.9}, {"end_s": 19.0}),
+        ({"since_s": 1700000019, "until_s": "2023-11-14T23:14:00+01:00"},
+         {"start_s": 19.0, "end_s": 43.0}),  # and the slice of 3 s that begins then
+    ],
+)  # fmt: skip
+def test_what_was_seen_in_a_span_of_time_is_shown_as_the_whole_shows_it(
+    built: Path, tmp_path: Path, span: dict[str, Any], scans: dict[str, float]
+) -> None:
+    how, saved = {"model": "counting:spread=0"}, built / "whole.npz"
+    whole, shown = merge(saved, **how), merge(saved, **how, **span)
+    part = build_map(DRIVE, update="surface", resolution=FINE, **how, **scans)
+    assert (shown.origin, shown.observed.tolist()) == (part.origin, part.observed.tolist())
+    col, row = np.rint((np.array(shown.origin) - whole.origin) / FINE).astype(int)
+    (rows, cols), seen = shown.observed.shape, shown.observed
+    there = whole.probability[row : row + rows, col : col + cols]
+    assert np.array_equal(shown.probability[seen], there[seen])
+    typed = " ".join(f"--{name[:-2]} {value}" for name, value in span.items())
+    run_both(built, tmp_path, f"render IN/whole.in -o OUT/m.pgm -o OUT/m.tif {typed}")
+    assert_same_files(tmp_path, "m.pgm", "m.tif")
 
 
 def test_other_formats_of_a_store(built: Path, here: Path) -> None:
@@ -329,6 +355,7 @@ def test_nothing_is_left_of_blocks_that_are_taken_away(built: Path, here: Path) 
         ("whole.npz --overview 4", "--overview goes with a store"),
         ("whole.zarr --overview 5", "there are those of 1, 4, 16"),
         ("whole.zarr --overview 4 --min-passes 2", "leave out --overview"),
+        ("whole.zarr --overview 4 --since 5", "leave out --overview"),
         ("whole.zarr --overview 4 -o m.html", "m.html: shows single cells, and --overview has"),
         ("whole.zarr --overview 4 --p-hit 0.8 --model simple", "leave out --overview"),
     ],

@@ -226,7 +226,7 @@ def _note_cell(at_row: int, at_col: int, inside: spans.Spans, mark: int, field: 
     What it gets is chosen without a branch: whether neighbours share a cell is a coin toss.
     """
     border, (_, rows, cols) = field.cells, field.changes
-    if field.clipped is not None and not (0 <= at_row < rows and 0 <= at_col < cols):
+    if not (0 <= at_row < rows and 0 <= at_col < cols):
         return
     place = np.int32(at_row * (cols + PAD) + at_col)
     cell = border[np.uint64(place)]
