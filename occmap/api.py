@@ -267,7 +267,7 @@ def merge(*paths: AnyPaths, subtract: AnyPaths = (), fit: bool = False, **option
     options
         Of `build_map`: model (the default is what the evidence was built with), min_passes,
         max_cells, extent, margin, edits, georeference, mode, occupied_thresh, free_thresh and
-        shade; since_s and until_s, stamps or dates: only what was seen in that time is shown.
+        shade; since and until, stamps or dates: only what was seen in that time is shown.
 
     Raises
     ------

@@ -73,7 +73,7 @@ OF_SAVED = list_options(RenderOptions, "Map")
     Report,
     click.Argument(["paths"], nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR"),
     *(*options.WRITING, *options.fields(list_options(Framing))),
-    *(options.field(OF_SAVED[name]) for name in ("since_s", "until_s", "overview")),
+    *(options.field(OF_SAVED[name]) for name in ("since", "until", "overview")),
     *(*options.KEPT_CELLS, *options.SAVED_MODEL, LIMIT),
 )
 def render_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> Answer:

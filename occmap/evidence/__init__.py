@@ -256,19 +256,19 @@ def list_contradictions(hits: tuple[int, int], points: Mapping[str, int]) -> Ite
         )
 
 
-def keep_seen(part: Evidence, since_s: float | None, until_s: float | None) -> Evidence:
+def keep_seen(part: Evidence, since: float | None, until: float | None) -> Evidence:
     """Keep what was observed of cells that were seen in a span of time, and its slices.
 
     Parameters
     ----------
-    since_s, until_s
-        Stamps (s) in the first and the last slice of time; None: no slice is too early, or too late.
+    since, until
+        Stamps (s) in the first and in the last slice of time; None: from, or to, any.
     """
-    if since_s is None and until_s is None:
+    if since is None and until is None:
         return part
     gap = part.manifest.pass_gap_s
-    first = -math.inf if since_s is None else since_s // gap
-    last = math.inf if until_s is None else until_s // gap
+    first = -math.inf if since is None else since // gap
+    last = math.inf if until is None else until // gap
     slices, seen = list[Slices](), dict[Key, Tile]()
     for each in part.slices:
         inside = (first <= each.numbers) & (each.numbers <= last)

@@ -216,7 +216,7 @@ def describe_about(
     given = write_value(writing) | write_value(framing)
     given["edits"] = drawn or None
     # Only what is saved is shown as of a time.
-    given |= {name: getattr(options, name, None) for name in ("min_passes", "since_s", "until_s")}
+    given |= {name: getattr(options, name, None) for name in ("min_passes", "since", "until")}
     usual = write_value(type(writing)()) | write_value(type(framing)())
     # An option that a later version adds changes no name where nobody gives it.
     how = {name: value for name, value in given.items() if value != usual.get(name)}

@@ -57,14 +57,14 @@ class RenderOptions:
     framing: Framing = field(default_factory=Framing)
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
-    since_s: float | None = option(
+    since: float | None = option(
         None,
         "Show only what was still seen at this time or later: seconds as in the log's stamps, or a "
         "date such as 2026-11-02T08:00, in UTC. Slices of time (--pass-gap) count as a whole.",
         metavar="TIME",
         form=TIME,
     )
-    until_s: float | None = option(
+    until: float | None = option(
         None, "Show only what was seen at this time or before.", metavar="TIME", form=TIME
     )
     overview: int | None = option(
@@ -202,7 +202,7 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
 
 def find_lasting(part: Evidence, options: RenderOptions) -> Grids:
     """What was observed when the user wants to know, and what of that lasts."""
-    seen = evidence.keep_seen(part, options.since_s, options.until_s)
+    seen = evidence.keep_seen(part, options.since, options.until)
     grid = evidence.to_grid(seen)
     return grid, evidence.keep_lasting(grid, seen.slices, options.min_passes)
 
@@ -234,7 +234,7 @@ def bound_map(
             if box := measure(part):
                 farthest = max(farthest, outward * box[side])
         if math.isinf(farthest):
-            if reach and (options.since_s, options.until_s) != (None, None):
+            if reach and (options.since, options.until) != (None, None):
                 found = "nothing was observed, or lasts, of the time that is asked for"
                 raise MapError(found, fix="`occmap explain` says when a cell was seen")
             rendering.refuse_nothing_left(options.min_passes if reach else None)
@@ -369,7 +369,7 @@ def read_overview(store: Blocks, side: int, options: RenderOptions) -> Occupancy
     """
     if store.root is None:
         raise UsageError("`overview` goes with a store", where=store.where, fix="leave it out")
-    chosen = options.model, options.min_passes, options.since_s, options.until_s
+    chosen = options.model, options.min_passes, options.since, options.until
     if any(each is not None for each in chosen):
         found = "the pictures in a store show what its own model decided of all that was observed"
         raise UsageError(found, fix="leave out `overview`, or model, `min_passes` and times")
