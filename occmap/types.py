@@ -27,6 +27,7 @@ Int16: TypeAlias = NDArray[np.int16]
 Int32: TypeAlias = NDArray[np.int32]
 Int64: TypeAlias = NDArray[np.int64]
 UInt8: TypeAlias = NDArray[np.uint8]
+UInt16: TypeAlias = NDArray[np.uint16]
 Bool: TypeAlias = NDArray[np.bool_]
 """Arrays, by the type of their numbers"""
 

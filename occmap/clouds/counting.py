@@ -180,7 +180,7 @@ def list_apart(views: Mapping[Drawn, tuple[View, Float64]]) -> list[Float64]:
 def make_table(size: int) -> Histogram:
     """Make an empty table for half as many pieces as its size, which is a power of two."""
     places, used = np.full((size, 2), heights.EMPTY, np.int64), np.zeros(1, np.int64)
-    return Histogram(places, np.zeros((size // 2, heights.BINS), np.int32), used)
+    return Histogram(places, np.zeros((size // 2, heights.BINS), np.uint16), used)
 
 
 def grow_table(table: Histogram) -> Histogram:

@@ -1,15 +1,29 @@
 """Peaks of columns of heights, and the ground that is found from them."""
 
 from collections.abc import Sequence
+from itertools import permutations
 
 import numpy as np
 import pytest
 
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions, draw, ground
+from occmap.clouds.counting import add_tables, make_table
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD, Found
-from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
+from occmap.clouds.kernels.heights import (
+    ALL_AT_ONCE,
+    BIN_MM,
+    BINS,
+    ROOM,
+    SOME,
+    Cloud,
+    Histogram,
+    Pieces,
+    count_heights,
+    list_peaks,
+    pack,
+)
 from occmap.types import NO_GROUND, Float64, Int32, UInt8
 
 
@@ -24,7 +38,7 @@ from occmap.types import NO_GROUND, Float64, Int32, UInt8
     ],
 )
 def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
-    bins = np.zeros((1, BINS), np.int32)
+    bins = np.zeros((1, BINS), np.uint16)
     for height, points in counts.items():
         bins[0, height] = points
     many, found_mm, weight = np.empty(1, np.int32), np.empty(8, np.int32), np.empty(8, np.int32)
@@ -42,6 +56,23 @@ def test_clouds_at_exact_steps_are_drawn_as_others_are(step_ms: int) -> None:
     drawn = [draw(1_700_000_000_500_000_000 + k * step_ms * 1_000_000) for k in range(1000)]
     shares = np.searchsorted(np.sort(drawn), np.linspace(0.05, 0.95, 19)) / len(drawn)
     assert np.abs(shares - np.linspace(0.05, 0.95, 19)).max() < 0.05
+
+
+def count_points(points: int) -> Histogram:
+    """Count so many points of one place."""
+    table, cloud = make_table(4 * SOME), np.tile(np.float32([1, 0, -1]), points)
+    posed = Cloud(cloud, ALL_AT_ONCE, np.eye(4)[None, :3], np.zeros(3))
+    assert (
+        count_heights(posed, table, 0, np.empty((3, SOME)), np.empty((2, SOME), np.int64)) >= points
+    )
+    return table
+
+
+@pytest.mark.parametrize("points", [*permutations((40_000, 20_000, 30_000)), (70_000, 1)])
+def test_counts_end_at_16_bits_whatever_is_added_first(points: tuple[int, ...]) -> None:
+    some = add_tables(map(count_points, points[:-1])).counts.sum()
+    assert some == min(sum(points[:-1]), 65_535)
+    assert add_tables(map(count_points, points)).counts.sum() == 65_535
 
 
 BLOCKS = growth.index_blocks(np.array([[0, 0]]))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.jit import kernel, step
-from occmap.types import COLUMN_MM, Float32, Float64, Int32, Int64, PosedScans
+from occmap.types import COLUMN_MM, Float32, Float64, Int32, Int64, PosedScans, UInt16
 from occmap.types import Cloud as RecordedCloud
 
 BIN_MM = 20
@@ -26,6 +26,8 @@ MOST_PIECES = 4096
 ROOM = MOST_PIECES * BINS + 2 * AROUND + 2
 """Bins of a column, and of what is around it"""
 EMPTY = -1
+MOST_POINTS = 65535
+"""More points of a bin are not counted: sums that end there are the same in any order"""
 SOME = 512
 """Points that are placed at once"""
 FAR_M = 60.0
@@ -56,8 +58,8 @@ class Histogram(NamedTuple):
     places: Int64
     """(K, 2) `EMPTY` or a packed row, column and piece, and where it is counted; K is a power of
     two"""
-    counts: Int32
-    """(K / 2, 16) points in each bin, piece by piece as they were met"""
+    counts: UInt16
+    """(K / 2, 16) points in each bin, piece by piece as they were met; at most `MOST_POINTS`"""
     used: Int64
     """(1,) how many pieces there are"""
 
@@ -71,7 +73,7 @@ class Pieces(NamedTuple):
     """(P,) as those of a histogram, in ascending order"""
     at: Int64
     """(P,) where each is counted"""
-    counts: Int32
+    counts: UInt16
     """(Q, 16) points in each bin, as those of a histogram"""
 
 
@@ -152,7 +154,8 @@ def count_heights(cloud: Cloud, table: Histogram, start: int, place: Float64, li
         for i in range(many):
             listed[0, i] = find_piece(table, listed[0, i])
         for i in range(many):
-            table.counts[listed[0, i], listed[1, i]] += 1
+            at, j = listed[0, i], listed[1, i]
+            table.counts[at, j] += table.counts[at, j] < MOST_POINTS
         start += size
     return start
 
@@ -191,7 +194,8 @@ def add_histogram(other: Histogram, table: Histogram, start: int) -> int:
                 return i
             here = find_piece(table, key)
             for j in range(BINS):
-                table.counts[here, j] += other.counts[at, j]
+                both = np.int64(table.counts[here, j]) + np.int64(other.counts[at, j])
+                table.counts[here, j] = min(both, MOST_POINTS)
     return len(other.places)
 
 
