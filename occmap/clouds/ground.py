@@ -175,10 +175,11 @@ def grow(
         peaks = lower(columns.peaks, raised, height[raised], found.weight[raised])
         columns = columns._replace(peaks=peaks)
         grown.append(found)
+    del grown[1:], found  # which take much memory
     growth.restore_levels(blocks, grown[0], height)
     smooth = np.empty_like(height)
     growth.smooth_ground(blocks, peaks, grown[0], height, smooth)
-    keep_known(known, found._replace(height=smooth))
+    keep_known(known, grown[0]._replace(height=smooth))
     return smooth
 
 
@@ -361,12 +362,12 @@ def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     keys, at = table.places[table.places[:, 0] != heights.EMPTY].T
     order = np.argsort(keys)  # column by column, and in each from the lowest piece
     # Counts stay where they are, as they may be most of what is in memory.
-    keys, is_counted = keys[order], at[order]
+    keys, is_counted = keys[order], at[order].astype(np.int32)
     is_next = np.diff(keys >> heights.PIECE_BITS, prepend=-1) != 0
     places = unpack_columns(keys[is_next], path)
     many = np.zeros(len(places), np.int32)
     level, weight = np.empty((2, 8 * len(keys) + 8), np.int32)
-    column = np.cumsum(is_next) - 1
+    column = np.cumsum(is_next, dtype=np.int32) - 1
     pieces = Pieces(column, keys, is_counted, table.counts)
     found = heights.list_peaks(pieces, np.empty(heights.ROOM, np.int64), many, level, weight)
     blocks = make_blocks(places, known)
@@ -374,7 +375,7 @@ def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     first, of_column = np.zeros((2, len(blocks.places) << 2 * BLOCK_BITS), np.int32)
     first[at], of_column[at] = np.cumsum(many) - many, many
     peaks = Peaks(first, of_column, level[:found].copy(), weight[:found].copy())
-    return Shown(blocks, peaks, len(places), pieces._replace(column=at[column]))
+    return Shown(blocks, peaks, len(places), pieces._replace(column=at.astype(np.int32)[column]))
 
 
 def unpack_columns(keys: Int64, path: Int64) -> Int64:

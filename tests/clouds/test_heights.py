@@ -42,7 +42,7 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     for height, points in counts.items():
         bins[0, height] = points
     many, found_mm, weight = np.empty(1, np.int32), np.empty(8, np.int32), np.empty(8, np.int32)
-    first = np.zeros(1, np.int64)
+    first = np.zeros(1, np.int32)
     pieces = Pieces(first, np.array([pack(3, 4, 0)]), first, bins)
     found = list_peaks(pieces, np.empty(ROOM, np.int64), many, found_mm, weight)
     # A peak lies in its bin, or up to half a bin from its middle towards its neighbour.
@@ -60,7 +60,7 @@ def test_clouds_at_exact_steps_are_drawn_as_others_are(step_ms: int) -> None:
 
 def count_points(points: int) -> Histogram:
     """Count so many points of one place."""
-    table, cloud = make_table(4 * SOME), np.tile(np.float32([1, 0, -1]), points)
+    table, cloud = make_table(4 * SOME), np.tile(np.array([1, 0, -1], np.float32), points)
     posed = Cloud(cloud, ALL_AT_ONCE, np.eye(4)[None, :3], np.zeros(3))
     assert (
         count_heights(posed, table, 0, np.empty((3, SOME)), np.empty((2, SOME), np.int64)) >= points
@@ -147,9 +147,10 @@ def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
     height, measured = lay(dict.fromkeys(range(19), 0)), lay(dict.fromkeys([0, 1, 17, 18], 1), 0)
     counted = [(at, mm // 20, many) for at, of in points.items() for mm, many in of.items()]
     keys = np.array([pack(0, at, up >> 4) for at, up, _ in counted])
-    counts = np.zeros((len(keys), BINS), np.int32)
+    counts = np.zeros((len(keys), BINS), np.uint16)
     counts[np.arange(len(keys)), [up & 15 for _, up, _ in counted]] = [many for *_, many in counted]
-    pieces = Pieces(np.array([at for at, *_ in counted]), keys, np.arange(len(keys)), counts)
+    column, at = np.array([[at for at, *_ in counted], range(len(keys))], np.int32)
+    pieces = Pieces(column, keys, at, counts)
     columns = ground.Shown(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
     found = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
     assert np.flatnonzero(found).tolist() == list(holes)

@@ -67,11 +67,11 @@ class Histogram(NamedTuple):
 class Pieces(NamedTuple):
     """Pieces of columns, as they were counted."""
 
-    column: Int64
+    column: Int32
     """(P,) where the column of each lies in flat arrays"""
     keys: Int64
     """(P,) as those of a histogram, in ascending order"""
-    at: Int64
+    at: Int32
     """(P,) where each is counted"""
     counts: UInt16
     """(Q, 16) points in each bin, as those of a histogram"""
@@ -154,8 +154,8 @@ def count_heights(cloud: Cloud, table: Histogram, start: int, place: Float64, li
         for i in range(many):
             listed[0, i] = find_piece(table, listed[0, i])
         for i in range(many):
-            at, j = listed[0, i], listed[1, i]
-            table.counts[at, j] += table.counts[at, j] < MOST_POINTS
+            points = int(table.counts[listed[0, i], listed[1, i]])
+            table.counts[listed[0, i], listed[1, i]] = min(points + 1, MOST_POINTS)
         start += size
     return start
 
@@ -194,7 +194,7 @@ def add_histogram(other: Histogram, table: Histogram, start: int) -> int:
                 return i
             here = find_piece(table, key)
             for j in range(BINS):
-                both = np.int64(table.counts[here, j]) + np.int64(other.counts[at, j])
+                both = int(table.counts[here, j]) + int(other.counts[at, j])
                 table.counts[here, j] = min(both, MOST_POINTS)
     return len(other.places)
 
