@@ -91,8 +91,13 @@ class Sheet:
 
 
 def find_farthest(cloud: Cloud) -> float:
-    """How far from the sensor no point of a cloud is (m)."""
-    return find_reach(cloud.points) + math.dist(cloud.poses[0, :, 3], cloud.origin)
+    """How far from the sensor no point of a cloud is, by whichever of its poses (m)."""
+    turn, start = np.split(cloud.poses, [3], axis=2)
+    middle = len(turn) // 2
+    # The sensor in the frame of the points, which may be far away from the zero of that.
+    centre = (turn[middle].T @ (cloud.origin - start[middle, :, 0])).astype(np.float32)
+    moved = np.linalg.norm(turn @ centre + start[:, :, 0] - cloud.origin, axis=1)
+    return find_reach(cloud.points, centre) + float(moved.max())
 
 
 def make_band(options: CloudOptions, returns: ReturnOptions) -> Band:
@@ -167,7 +172,8 @@ class CloudEngine(Engine):
             box = sheet.reach(cloud, self._band.farthest)
             if not sheet.lay_out(box):
                 self._empty(sheet)
-                sheet.clear(max(MANY_TILES, box.cells))
+                # With room to go on, or the next cloud begins anew, too.
+                sheet.clear(max(MANY_TILES, box.cells * 3 // 2))
                 sheet.lay_out(box)
             sheet.observe(cloud, self._band)
         with self._lock:

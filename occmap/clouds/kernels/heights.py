@@ -280,14 +280,15 @@ def count_apart(
 
 
 @kernel
-def find_reach(points: Float32) -> int:
-    """How far points (3 N,) lie from their zero at most, rounded up (m)."""
-    farthest = np.int32(0)
+def find_reach(points: Float32, centre: Float32) -> int:
+    """How far points (3 N,) lie from a place in their frame (3,) at most, rounded up (m)."""
+    farthest, (x, y, z) = np.int32(0), centre
     for i in range(points.size // 3):
         u, v, w = points[3 * i], points[3 * i + 1], points[3 * i + 2]
-        square = u * u + v * v + w * w
+        apart, right, up, above = abs(u) + abs(v) + abs(w), u - x, v - y, w - z
+        is_real = np.float32(0) < apart <= np.float32(FARTHEST_M)
+        square = right * right + up * up + above * above if is_real else np.float32(0)
         # Whole metres, of which processors compare several at once.
-        square = square if square < np.float32(FARTHEST_M**2) else np.float32(0)
         farthest = max(farthest, np.int32(np.sqrt(square)))
     return int(farthest) + 1
 
