@@ -254,7 +254,7 @@ def fit_globe(known: Float64) -> tuple[tuple[float, float], float, Float64]:
 
 def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     """Sum up how the scans of a topic get their poses."""
-    stated = topic.stated and posing.poser.options.poses is None
+    stated = topic.stated and posing.poser.options.takes_stated()
     chain = None if stated else posing.poser.chains.get(next(iter(topic.frames)))
     faults = [posing.faults[frame] for frame in topic.frames if frame in posing.faults]
     return PoseFindings(

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 from occmap.choices import ABOVE_ZERO, DRIFT, MOUNT, PLACE, TILT, TRANSFORM, check_bounds, option
 from occmap.errors import require
-from occmap.types import Pose, PoseSample
+from occmap.types import Pose, PoseSample, Recorded
 
 Time = TypeVar("Time")
 Drift: TypeAlias = tuple[tuple[int, ...], tuple[int, ...]]
@@ -194,6 +194,10 @@ class PosingOptions:
         for pose in filter(None, (*fixed, self.transform, self.sensor_pose)):
             is_place = all(abs(value) <= MAX_PLACE_M for value in pose) and any(pose[3:])
             require(is_place, f"nothing can be at {pose[:3]}", "give metres and radians")
+
+    def takes_stated(self, *scans: Recorded) -> bool:
+        """Whether the poses beside scans count: each has one, and `poses` names no others."""
+        return self.poses is None and all(each.pose is not None for each in scans)
 
     @property
     def recording(self) -> tuple[Path, str] | None:

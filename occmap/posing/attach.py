@@ -130,7 +130,7 @@ class Poser:
 
         Some drivers stamp the end of a sweep, and then its earliest point is no better moment.
         """
-        if not isinstance(some, Cloud) or some.offset_ns is None or self._is_stated(some):
+        if not isinstance(some, Cloud) or some.offset_ns is None:
             return some
         way, duration_ns = self._find_way(some), np.ptp(some.offset_ns, keepdims=True)
         if way is None or way.is_dense(duration_ns / 1e9):
@@ -147,7 +147,7 @@ class Poser:
         """
         batch, stamp_ns = posed.batch, self._convert(posed.stamp_ns)
         stood_s = np.zeros(len(stamp_ns))
-        way = None if self._is_stated(batch) else self._find_way(batch)
+        way = self._find_way(batch)
         if way and not way.interval_s:
             way = self._find_carrier(batch.frame)
         if way is None:
@@ -174,7 +174,7 @@ class Poser:
         """
         if not len(batch.stamp_ns):
             return
-        if batch.pose is not None and self._is_stated(batch):
+        if batch.pose is not None and self.options.takes_stated():
             yield from self._keep(batch, self._read_stated(batch.pose))
             return
         if (way := self._find_way(batch)) is None:
@@ -198,10 +198,10 @@ class Poser:
         if not deskewed.all():
             yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed], in_clouds))
 
-    def _is_stated(self, some: Cloud | ScanBatch) -> bool:
-        return some.pose is not None and self.options.poses is None
-
     def _find_way(self, some: Cloud | ScanBatch) -> Chain | None:
+        """Find the chain to the frame of scans; None: there is none, or poses stand beside them."""
+        if self.options.takes_stated(some):
+            return None
         if some.frame not in self.chains:
             self.find_chains([some.frame])
         return self.chains.get(some.frame)

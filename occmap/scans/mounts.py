@@ -74,7 +74,7 @@ def open_drive(log: Log, options: BuildOptions) -> Drive:
         No scan frame has a chain of transforms to a map frame.
     """
     first = look_ahead(log, options)
-    if options.posing.poses is None and all(scan.pose is not None for scan in first):
+    if options.posing.takes_stated(*first):
         return Drive(log, Poser(gather([], options.posing), options.posing), options)
     posing = prepare(log, first, options)
     if posing.faults and posing.poser.fixed is None:
@@ -91,7 +91,7 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
         The trajectory that the user chose cannot be used.
     """
     poser = read_poser(log, options.posing, [scan.topic for scan in first])
-    frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
+    frames = {scan.frame for scan in first if not options.posing.takes_stated(scan)}
     faults = poser.find_chains(frames)
     if not faults or len(frames) > 1 or options.posing.sensor_pose is not None:
         return Posing(poser, faults)

@@ -61,8 +61,7 @@ class KeptLog:
     @property
     def stated(self) -> bool:
         """Whether all poses stand beside the scans, so that their times do not matter."""
-        chosen = self.poser.options.poses is not None
-        return not chosen and all(batch.pose is not None for batch in self.batches)
+        return self.poser.options.takes_stated(*self.batches)
 
     def pose(self, options: PosingOptions) -> list[PosedScans]:
         """Pose the scans with other options; those that then have no pose are left out."""
