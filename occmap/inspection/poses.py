@@ -21,9 +21,9 @@ from occmap.grid import Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body
 from occmap.options import OPTIONS, BuildOptions
-from occmap.posing import Concern, Deskew, Doubt, Stamps
+from occmap.posing import POSED, Concern, Deskew, Doubt, Stamps
 from occmap.posing.attach import Poser
-from occmap.posing.chain import Chain, Status, Transforms, place_logs
+from occmap.posing.chain import Chain, Transforms, place_logs
 from occmap.posing.sources import Sources
 from occmap.readers import Role
 from occmap.report import count
@@ -157,7 +157,7 @@ def share_posed(poser: Poser, topic: TopicSurvey) -> float:
     stamps = poser.options.stamps.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
     in_clouds = topic.stream.role is Role.CLOUD
-    return float(np.mean(chain.at(stamp_ns, in_clouds).status == Status.POSED))
+    return float(np.mean(chain.at(stamp_ns, in_clouds).status == POSED))
 
 
 def list_coverage(sources: Sources) -> list[Coverage]:
@@ -207,7 +207,7 @@ def tell_fixes(drive: Drive) -> Iterator[str]:
     stamp_ns, _, *globe = (np.array(each) for each in zip(*fixes, strict=True))
     found = chain.at(stamp_ns + round(poser.options.time_offset_s * 1e9))
     place = place_logs(replace(poser.options, align=None)).then(found).position[:, :2]
-    known = np.column_stack([place, *globe])[found.status == Status.POSED]
+    known = np.column_stack([place, *globe])[found.status == POSED]
     if len(known) < FEWEST_FIXES:
         yield f"only {count(len(known), 'satellite position')} came while poses are known"
         return

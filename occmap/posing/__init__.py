@@ -55,8 +55,12 @@ class Stamps(StrEnum):
         return record_ns if self is Stamps.RECORD else stamp_ns
 
 
+POSED = 0
+"""Stands in arrays for a scan that has a pose, where others have the code of a reason"""
+
+
 class DropReason(StrEnum):
-    """Why a scan has no pose."""
+    """Why a scan has no pose; of several reasons the last one of these counts."""
 
     BEFORE = "before the first pose"
     AFTER = "after the last pose"
@@ -65,6 +69,11 @@ class DropReason(StrEnum):
     UNUSABLE = "pose not finite or beyond 1e12 m or without a rotation"
     LEAP = "further from their neighbours than `max_speed` allows"
     NO_TRANSFORM = "no transform to the scan's frame"
+
+    @property
+    def code(self) -> int:
+        """What stands for it in arrays."""
+        return list(DropReason).index(self) + 1
 
 
 class Concern(NamedTuple):

@@ -13,9 +13,9 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.errors import PoseError
-from occmap.posing import Concern, Deskew, Doubt, Drift, PosingOptions, chain
+from occmap.posing import POSED, Concern, Deskew, Doubt, Drift, DropReason, PosingOptions, chain
 from occmap.posing import course as courses
-from occmap.posing.chain import Chain, Status, Transforms, place_logs, tilt
+from occmap.posing.chain import Chain, Transforms, place_logs, tilt
 from occmap.posing.course import Course, Stance
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS, Track
@@ -160,7 +160,7 @@ class Poser:
             moved = np.linalg.norm(position - position[0], axis=2)
             cosine = (np.einsum("tsij,sij->ts", rotation, rotation[0]) - 1) / 2
             stands = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
-            stands &= there.status.reshape(shape) == Status.POSED
+            stands &= there.status.reshape(shape) == POSED
             stood_s += (np.logical_and.accumulate(stands) * apart_s).max(axis=0)
         return stood_s
 
@@ -179,7 +179,7 @@ class Poser:
             return
         if (way := self._find_way(batch)) is None:
             course = self.courses.setdefault((batch.topic, batch.frame), Course())
-            status = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
+            status = np.full(len(batch.stamp_ns), DropReason.NO_TRANSFORM.code, np.uint8)
             course.lose(batch.stamp_ns, status)
             return
         stamp_ns = self._convert(batch.stamp_ns)
@@ -248,8 +248,8 @@ class Poser:
         places = found if seen_from is None else seen_from
         status = places.status.reshape(len(stamp_ns), -1).max(axis=1)
         if laser in self.leaps:
-            status[np.isin(stamp_ns, self.leaps[laser])] = Status.LEAP
-        kept = status == Status.POSED
+            status[np.isin(stamp_ns, self.leaps[laser])] = DropReason.LEAP.code
+        kept = status == POSED
         course = self.courses.setdefault(laser, Course())
         if not kept.all():
             course.lose(batch.stamp_ns[~kept], status[~kept])
