@@ -23,7 +23,6 @@ from occmap.posing import NO_DRIFT, Drift, measure_drift
 from occmap.posing.chain import place_logs, tilt
 from occmap.report import Note, join_names
 from occmap.scans import encode_cells
-from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
@@ -76,7 +75,7 @@ def find_ground(
     MapError
         There is none, or it lies elsewhere than what is known.
     """
-    clouds = sum(count_scans(drive.log, options.selection.topics) for drive in drives)
+    clouds = sum(drive.scans for drive in drives)
 
     def count(options: BuildOptions, ground: Ground | None) -> Counted:
         renewed = (drive.renew(options) for drive in drives)
@@ -266,7 +265,7 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
         On which they are laid first; None: they stay as they are.
     """
     log, posing = str(drive.log.path), drive.options.posing
-    share = count_scans(drive.log, drive.options.selection.topics) / max(clouds, 1)
+    share = drive.scans / max(clouds, 1)
     views = max(math.ceil(counting.UPRIGHT_CLOUDS * share), counting.LOG_CLOUDS)
 
     def read() -> Counter:

@@ -15,7 +15,7 @@ from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, Role, read_recorded
 from occmap.readers.depth import clean_cloud
 from occmap.scans import TopicSample
-from occmap.scans.logs import choose_topics
+from occmap.scans.logs import choose_topics, count_scans
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import drop_own_points, read_limits
 from occmap.sensor.bands import RangeLimits
@@ -225,6 +225,8 @@ class Drive:
         self.log, self.poser, self.options = log, poser, options
         poser.drift = (options.posing.height_drift or {}).get(str(log.path))
         self.topics = choose_topics(log, options.selection.topics)
+        self.scans = count_scans(log, self.topics)
+        """How many the log has on these topics"""
         self.limits = RangeLimits(options.returns)
         self.is_settled = False
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""

@@ -255,8 +255,7 @@ def observe(
     slices: list[Slices] = []
     begin = partial(make_engine, options, keep)
     for drive in tally.time_each("poses", drives):
-        scans = count_scans(drive.log, drive.topics) * len(paths)
-        of_log = Tally(tally.tell, keep.choose_shown(scans))
+        of_log = Tally(tally.tell, keep.choose_shown(drive.scans * len(paths)))
         engine = trace_drive(drive, begin, of_log)
         of_log.points.update(engine.points)
         tally.add(of_log)
