@@ -149,12 +149,11 @@ def trace_log(setting: Setting, job: Job) -> tuple[Tally, Pieces]:
     OccmapError
         As `open_drive`, or the scratch folder cannot be written.
     """
-    options = replace(setting.options, jobs=1)
+    options, tally = replace(setting.options, jobs=1), Tally()
     log = open_log(Path(job.where), options.reading)
-    scans = count_scans(log, options.selection.topics)
-    tally = Tally(shown_every=setting.keep.choose_shown(scans * setting.logs))
     with tally.time("poses"):
         drive = open_drive(log, options)
+    tally.shown_every = setting.keep.choose_shown(drive.scans * setting.logs)
     # A name is used once, also where the log is read anew: another worker may be at the same log.
     names = (f"{job.name}.{number}.run" for number in count())
     runs = trace_drive(drive, partial(RunWriter, setting, names), tally)

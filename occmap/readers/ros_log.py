@@ -78,11 +78,9 @@ class RosLog(Log):
             if channel.count and (node := PACKETS.get(channel.kind)):
                 found = f"{name} are packets of a lidar"
                 self.notes.add(f"{found}: record the clouds that {node} makes of them")
-            if kind.needs is Echo:
-                kind = kind.bind(options.echo)
-            elif kind.needs is Camera:
-                camera = self._find_camera(channel)
-                kind = kind.bind(camera) if camera else UNUSED
+            if kind.needs:
+                needed = options.echo if kind.needs is Echo else self._find_camera(channel)
+                kind = kind.bind(needed) if needed else UNUSED
             self._types[channel] = kind
 
         counts: Counter[tuple[str, str, Role]] = Counter()
