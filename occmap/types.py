@@ -10,9 +10,11 @@ left, z up, yaw counter-clockwise.
 
 import math
 import operator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
@@ -29,6 +31,8 @@ Int64: TypeAlias = NDArray[np.int64]
 UInt8: TypeAlias = NDArray[np.uint8]
 Bool: TypeAlias = NDArray[np.bool_]
 """Arrays, by the type of their numbers"""
+Paths: TypeAlias = Sequence[Path]
+"""Files and folders, as a user names them"""
 
 
 class Pose(NamedTuple):

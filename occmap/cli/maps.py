@@ -5,7 +5,7 @@ scored and compared.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from occmap.scoring.matching import lay_on
 from occmap.store import Blocks, open_saved
 from occmap.store.merging import STAY, Transform, combine
 from occmap.store.painting import RenderOptions, publish, refuse_unsaved
+from occmap.types import Paths
 from occmap.writers import WriteOptions, check_outputs
 
 LIMIT = fail_if(SAVED, "unknown > 60%")
@@ -91,7 +92,7 @@ def render_command(console: Console, /, paths: tuple[Path, ...], **values: Any) 
 
 
 def put_out(
-    console: Console, inputs: Sequence[Path], read: Callable[[], Blocks], values: dict[str, Any]
+    console: Console, inputs: Paths, read: Callable[[], Blocks], values: dict[str, Any]
 ) -> Answer:
     """Render evidence, write it as the user wants, and sum it up.
 

@@ -197,15 +197,13 @@ MOST_NAMED = 20
 """Logs that a file of a map names at most"""
 
 
-def describe_about(
-    manifest: Manifest, evidence: str, options: Any, logs: Iterable[str] = ()
-) -> About:
+def describe_about(manifest: Manifest, name: str, options: Any, logs: Iterable[str] = ()) -> About:
     """Say what a map is of.
 
     Parameters
     ----------
-    evidence
-        What `Manifest.identify` calls it.
+    name
+        What `Manifest.identify` calls the evidence.
     options
         Those of a build or of a map of saved evidence.
     logs
@@ -222,7 +220,7 @@ def describe_about(
     rendering = hashlib.sha256(text.encode()).hexdigest()[:12]
     names = sorted({*list_logs(*manifest.builds), *logs})
     named = join_names(map(json.dumps, names), MOST_NAMED)
-    return About(version("occmap"), evidence, rendering, named, manifest.align or 0.0)
+    return About(version("occmap"), name, rendering, named, manifest.align or 0.0)
 
 
 def list_doubts(manifest: Manifest) -> Iterator[str]:

@@ -299,11 +299,8 @@ def take_tiles(slices: Slices, which: Int64) -> Slices:
 
 def find_edges(slices: Slices) -> tuple[Int64, Int64]:
     """(K + 1,) where the `parts` and the `changes` of each tile begin, and where the last ends."""
-    part_sizes = np.bitwise_count(slices.rows).sum(axis=1)
-    change_sizes = np.bitwise_count(slices.parts)
-    parts, changes = (
-        np.append(0, np.cumsum(sizes, dtype=np.int64)) for sizes in (part_sizes, change_sizes)
-    )
+    sizes = np.bitwise_count(slices.rows).sum(axis=1), np.bitwise_count(slices.parts)
+    parts, changes = (np.append(0, np.cumsum(each, dtype=np.int64)) for each in sizes)
     return parts, changes[parts]
 
 

@@ -33,7 +33,7 @@ from occmap.scans.mounts import Posing, find_better_mount, prepare
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.sensor.bands import BAND
-from occmap.types import PosedScans
+from occmap.types import Paths, PosedScans
 from occmap.values import DEGREES
 
 SHARE_OF_NOTE = 0.05
@@ -43,7 +43,7 @@ BYTES_PER_CELL = 4 + 1 + 8
 WRONG_TO_CLEAR = "beams without return lead through walls: `no_return=clear` is wrong here"
 
 
-def inspect(paths: Sequence[Path], options: BuildOptions, notes: Sequence[str] = ()) -> Inspection:
+def inspect(paths: Paths, options: BuildOptions, notes: Sequence[str] = ()) -> Inspection:
     """Look into logs, and judge them by what is in them, and by how large their map would be.
 
     What would make a build fail is among the findings, and is not raised.

@@ -17,7 +17,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing import POSED, Deskew, DropReason, PosingOptions
+from occmap.posing import Deskew, DropReason, PosingOptions
 from occmap.posing.frames import Edge, find_moving, last_part
 from occmap.posing.tracks import Track, find_usable, rotate_by, slerp, to_quaternions
 from occmap.types import IDENTITY, Bool, Float64, Int64, Pose, PosedScans, ScanBatch, UInt8

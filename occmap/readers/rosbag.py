@@ -24,6 +24,7 @@ from occmap.readers.containers import Channel, RawMessage, Source, inflate_messa
 from occmap.readers.mcap import McapSource
 from occmap.readers.ros_log import RosReader
 from occmap.readers.sqlite import SqliteSource
+from occmap.types import Paths
 from occmap.values import ZSTD_MAGIC
 
 METADATA = "metadata.yaml"
@@ -44,7 +45,7 @@ def list_storage(folder: Path) -> list[Path]:
     return sorted(paths, key=lambda path: ([int(n) for n in re.findall(r"\d+", path.name)], path))
 
 
-def refuse_mixed(folder: Path, files: Sequence[Path]) -> None:
+def refuse_mixed(folder: Path, files: Paths) -> None:
     """Refuse to read several recordings as one, where no metadata says what belongs together.
 
     Raises
@@ -114,7 +115,7 @@ class Bag2Source:
             self.notes.add_damage(f"{text}; move {METADATA} away to read all files")
         return there
 
-    def _open_parts(self, files: Sequence[Path]) -> list[Source]:
+    def _open_parts(self, files: Paths) -> list[Source]:
         """Open storage files; one that cannot be read is noted, unless there is no other."""
         parts: list[Source] = []
         for file in files:

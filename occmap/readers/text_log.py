@@ -264,9 +264,7 @@ class TextLog(Log, ABC):
         runs = [run for rows in lines.values() for run in self._parse_kind(block, rows, faults)]
         if len(runs) == 1:
             return [runs[0][1]]
-        scans = {
-            row: scan for rows, run in runs for row, scan in zip(rows, run.split(), strict=True)
-        }
+        scans = {row: one for rows, run in runs for row, one in zip(rows, run.split(), strict=True)}
         return [scans[row] for row in sorted(scans)]
 
     def _parse_kind(

@@ -5,7 +5,7 @@ This module is loaded for clouds alone: it brings numba, which takes longer than
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -58,9 +58,7 @@ class BuildGround(NamedTuple):
     """With the angles by which its floor is laid flat"""
 
 
-def find_ground(
-    drives: Collection[Drive], options: BuildOptions, known: Ground | None
-) -> BuildGround:
+def find_ground(drives: list[Drive], options: BuildOptions, known: Ground | None) -> BuildGround:
     """Find the ground below all drives, in a pass of its own.
 
     Parameters

@@ -6,8 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
 from itertools import product
-from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,14 +14,14 @@ from occmap.cells import Evidence, Ground, Key, Manifest, Slices, Tile, stack_ti
 from occmap.choices import format_place, to_rpy
 from occmap.errors import MapError, name_log
 from occmap.evidence import UNEVEN_SHARE, Described, list_misfit, read_model, refuse_other, to_grid
-from occmap.evidence.manifest import MEANING, leave_out, write_value
+from occmap.evidence.manifest import MEANING, BuildRecord, leave_out, write_value
 from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.report import count
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
-from occmap.types import COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64, Pose
+from occmap.types import COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64, Paths, Pose
 
 
 def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
@@ -52,7 +51,7 @@ Lay: TypeAlias = Callable[[Evidence, Evidence], Evidence]
 """Moves evidence onto other evidence"""
 
 
-def combine(added: Sequence[Path], taken: Sequence[Path] = (), lay: Lay | None = None) -> Blocks:
+def combine(added: Paths, taken: Paths = (), lay: Lay | None = None) -> Blocks:
     """Add saved evidence and take some away, block by block where any of it is in a store.
 
     Parameters
@@ -268,7 +267,7 @@ def move_evidence(evidence: Evidence, by: Transform, lift: float = 0.0) -> Evide
     is smeared, and numbers stay whole; a cell here and there is taken twice, or not at all.
     """
     manifest = evidence.manifest
-    builds = tuple(_record_move(build, by, manifest.align, lift) for build in manifest.builds)
+    builds = tuple(_note_move(build, by, manifest.align, lift) for build in manifest.builds)
     origins = list_origins(evidence.tiles, by, manifest.resolution)
     moved = _move_tiles(evidence.tiles, origins)
     slices = tuple(_move_slices(each, origins) for each in evidence.slices)
@@ -341,9 +340,7 @@ def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     return tiles.unite(parts)
 
 
-def _record_move(
-    build: dict[str, Any], by: Transform, align: float | None, lift: float
-) -> dict[str, Any]:
+def _note_move(build: BuildRecord, by: Transform, align: float | None, lift: float) -> BuildRecord:
     """Say of a build that its cells were moved, and with which `transform` it would lie there."""
     options = build["options"]
     given = options["posing"].get("transform")

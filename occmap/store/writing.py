@@ -244,9 +244,7 @@ class ZarrWriter(Writer):
         """
         with make_folder(path) as folder:
             create_store(folder, source.manifest, source.blocks)
-            records = [
-                write_block(folder, block, source.read_block(block)) for block in source.blocks
-            ]
+            records = [write_block(folder, each, source.read_block(each)) for each in source.blocks]
             for block in source.blocks:
                 paint_block(folder, block)
             finish_store(folder, source.manifest, records, source.ground)

@@ -396,9 +396,7 @@ def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) ->
     return assess(scorer, start, best, tried)
 
 
-def assess(
-    scorer: Scorer, start: Correction, best: Correction, tried: Sequence[Correction]
-) -> Finding:
+def assess(scorer: Scorer, start: Correction, best: Correction, tried: list[Correction]) -> Finding:
     """Judge the best of the corrections that were tried to find one better than `start`.
 
     It must gain certainly by all held-out scans, and each half of them must show it. The halves
