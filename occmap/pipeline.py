@@ -23,7 +23,7 @@ from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observe, Observed, Progress, ignore_progress
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import Blocks, open_saved, read_all
-from occmap.store.merging import add, refuse_different
+from occmap.store.merging import add, refuse_unlike
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Paths, Update
 from occmap.writers.atomic import hold_alone
@@ -122,7 +122,7 @@ def open_past(
         options = replace(options, posing=replace(options.posing, align=past.manifest.align))
     if past.manifest.update == Update.CLOUD:
         options = suit_kinds({Role.CLOUD: past.where}, options)
-    refuse_different(manifests.plan_manifest(options), past)
+    refuse_unlike(manifests.plan_manifest(options), past)
     if not options.fit:
         return past, options, []
     from occmap.scoring.matching import fit_logs  # noqa: PLC0415  late: few builds want it

@@ -29,7 +29,7 @@ from occmap.store.merging import (
     add_move,
     move_evidence,
     move_ground,
-    refuse_different,
+    refuse_unlike,
 )
 from occmap.types import Bool, Float32, Float64, Paths, Pose, Update
 
@@ -325,7 +325,7 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     OccmapError
         The two cannot be combined, or it is not sure where it lies.
     """
-    refuse_different(past.manifest, evidence)
+    refuse_unlike(past.manifest, evidence)
     found = match(evidence, past, read_model(past), MAX_CELLS)
     moved = move_evidence(evidence, found.transform, found.lift)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}

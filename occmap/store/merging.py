@@ -128,7 +128,7 @@ def add(evidence: Evidence, other: Evidence, model: SensorModel | None) -> Evide
         Their resolutions, updates or kinds differ, or their grounds.
     """
     mine, its = evidence.manifest, other.manifest
-    refuse_different(mine, other)
+    refuse_unlike(mine, other)
     ground, notes = join_grounds(evidence.ground, other), [*evidence.notes, *other.notes]
     if model is not None:
         found = list_misfit(to_grid(evidence), other.tiles, model, "the evidence before it")
@@ -150,7 +150,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     MapError
         As `add`, or `other` holds something that is not there.
     """
-    refuse_different(evidence.manifest, other)
+    refuse_unlike(evidence.manifest, other)
     less = {key: -tile.astype(np.int64) for key, tile in other.tiles.items()}
     grid = to_grid(evidence).like(tiles.drop_empty(tiles.add_tiles(evidence.tiles, less)))
     refuse_negative(grid, evidence, other)
@@ -195,7 +195,7 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         raise MapError(found, where=other.where, fix=fix)
 
 
-def refuse_different(manifest: Manifest, other: Described) -> None:
+def refuse_unlike(manifest: Manifest, other: Described) -> None:
     """Refuse evidence that cannot be combined with other evidence.
 
     Raises
