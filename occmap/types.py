@@ -51,13 +51,9 @@ class Pose(NamedTuple):
         """Build from a position and roll, pitch, yaw about fixed axes (REP 103), in radians."""
         (sr, sp, sy) = (math.sin(angle / 2) for angle in rpy)
         (cr, cp, cy) = (math.cos(angle / 2) for angle in rpy)
-        return cls(
-            *xyz,
-            qx=sr * cp * cy - cr * sp * sy,
-            qy=cr * sp * cy + sr * cp * sy,
-            qz=cr * cp * sy - sr * sp * cy,
-            qw=cr * cp * cy + sr * sp * sy,
-        )
+        qx, qy = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+        qz, qw = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+        return cls(*xyz, qx, qy, qz, qw)
 
     @classmethod
     def planar(cls, x: float, y: float, yaw: float) -> Self:

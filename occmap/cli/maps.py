@@ -225,19 +225,13 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
         yield "scans", f"none {used} observed the cell"
         return
     yield "scans", f"{len(scans):,} {used}: {explanation.explained}"
-    rows = [
-        (
-            f"{scan.stamp_ns / 1e9:.3f}",
-            *write_pair(scan.seen),
-            f"{scan.x:.3f}, {scan.y:.3f}",
-            f"{scan.distance:.3f}",
-            f"{Path(scan.log).name} {scan.topic}",
-        )
-        for scan in scans[:MOST_SCANS]
-    ]
     pair = "hits misses" if explanation.seen.log_odds is None else "log-odds observations"
-    head = ("stamp (s)", *pair.split(), "sensor at (m)", "away (m)", "from")
-    yield from (("", line) for line in align([head, *rows]))
+    rows = [("stamp (s)", *pair.split(), "sensor at (m)", "away (m)", "from")]
+    for scan in scans[:MOST_SCANS]:
+        place, log = f"{scan.x:.3f}, {scan.y:.3f}", f"{Path(scan.log).name} {scan.topic}"
+        away = f"{scan.distance:.3f}"
+        rows.append((f"{scan.stamp_ns / 1e9:.3f}", *write_pair(scan.seen), place, away, log))
+    yield from (("", line) for line in align(rows))
     if len(scans) > MOST_SCANS:
         yield "", f"and {len(scans) - MOST_SCANS:,} more: --json lists all"
 

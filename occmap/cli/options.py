@@ -110,17 +110,11 @@ WRITING = [OUTPUTS, *fields(list_options(WriteOptions))]
 
 def list_model(usual: str) -> list[CliOption]:
     """Make the options of a sensor model; `usual` is what --help shows for the default."""
-    model = field(OPTIONS["model"], type=Value.of(str, "model"), show_default=usual)
-    parameters = [
-        CliOption(
-            *(model.section, "--" + name.replace("_", "-")),
-            type=Value.of(float, name),
-            metavar=metavar,
-            help=text,
-        )
-        for name, (metavar, text) in PARAMETERS.items()
-    ]
-    return [model, *parameters]
+    made = [field(OPTIONS["model"], type=Value.of(str, "model"), show_default=usual)]
+    for name, (metavar, text) in PARAMETERS.items():
+        names = OPTIONS["model"].section, "--" + name.replace("_", "-")
+        made.append(CliOption(*names, type=Value.of(float, name), metavar=metavar, help=text))
+    return made
 
 
 SAVED_MODEL = list_model("what it was built with")

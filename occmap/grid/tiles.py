@@ -288,13 +288,9 @@ def unpack_bits(slices: Slices) -> UInt8:
 def take_tiles(slices: Slices, which: Int64) -> Slices:
     """Some of the tiles, in the order of `which`."""
     part_edges, change_edges = find_edges(slices)
-    return Slices(
-        slices.tiles[which],
-        slices.numbers[which],
-        slices.rows[which],
-        slices.parts[list_places(part_edges, which)],
-        slices.changes[list_places(change_edges, which)],
-    )
+    parts = slices.parts[list_places(part_edges, which)]
+    changes = slices.changes[list_places(change_edges, which)]
+    return Slices(slices.tiles[which], slices.numbers[which], slices.rows[which], parts, changes)
 
 
 def find_edges(slices: Slices) -> tuple[Int64, Int64]:

@@ -75,11 +75,9 @@ class Transforms(NamedTuple):
 
     def then(self, below: Self) -> Self:
         """Compose with a transform that is given in the lower frame of this one."""
-        return type(self)(
-            self.position + turn(self.rotation, below.position),
-            self.rotation @ below.rotation,
-            np.maximum(self.status, below.status),
-        )
+        position = self.position + turn(self.rotation, below.position)
+        status = np.maximum(self.status, below.status)
+        return type(self)(position, self.rotation @ below.rotation, status)
 
     def invert(self) -> Self:
         """Make the inverse: where the upper frame was in the lower one."""

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -33,9 +33,6 @@ _MOST_METADATA = 1 << 20
 _BAD_METADATA = YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError
 """What is raised where it is not as recorders write it"""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
-
-_Metadata: TypeAlias = tuple[Sequence[str], Mapping[tuple[str, str], int]]
-"""What only metadata.yaml says: the files, and how many messages there are by topic and type"""
 
 
 def list_storage(folder: Path) -> list[Path]:
@@ -140,10 +137,11 @@ class Bag2Source:
             self.notes.add_damage(f"{file.name} {problem}")
         return target
 
-    def _read_metadata(self) -> _Metadata:
-        """Read metadata.yaml; where it is absent or damaged, the files speak for themselves.
+    def _read_metadata(self) -> tuple[Sequence[str], Mapping[tuple[str, str], int]]:
+        """Read what only metadata.yaml says: the files, and messages by topic and type.
 
-        Every value is taken as text, so nothing in it can unfold.
+        Where it is absent or damaged, the files speak for themselves. Every value is taken as
+        text, so nothing in it can unfold.
         """
         path = self.path / METADATA
         if not path.is_file():

@@ -169,14 +169,8 @@ class Pattern(NamedTuple):
         increments = take("time_increment")
         increments[~np.isfinite(increments)] = 0  # it says nothing, and the scan is none the worse
         pose = None if self.scan.pose is None else stack_planar(*map(take, POSE_NAMES))
-        return ScanBatch.like(
-            self.scan,
-            stamp_ns=stamp_ns,
-            record_ns=record_ns,
-            ranges=words.ranges,
-            time_increment=increments,
-            pose=pose,
-        )
+        times = {"stamp_ns": stamp_ns, "record_ns": record_ns, "time_increment": increments}
+        return ScanBatch.like(self.scan, **times, ranges=words.ranges, pose=pose)
 
 
 class TextLog(Log, ABC):

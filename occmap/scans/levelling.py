@@ -269,7 +269,7 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
             counter = Counter(clouds, log, ground, views)
-            selector = Selector(drive.options.selection, posing.stamps, counter.wants)
+            selector = Selector(drive.options, counter.wants)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
                 for posed in drive.read(Tally(), selector):
                     threads.give(posed)

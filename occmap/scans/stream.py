@@ -44,10 +44,10 @@ class Selector:
     """
 
     def __init__(
-        self, selection: Selection, stamps: Stamps, wants: Wants = lambda _stamp_ns, _points: True
+        self, options: BuildOptions, wants: Wants = lambda _stamp_ns, _points: True
     ) -> None:
-        self._selection, self._stamps, self._wants = selection, stamps, wants
-        self._wants_all = replace(selection, topics=()) == Selection()
+        self._selection, self._stamps = options.selection, options.posing.stamps
+        self._wants, self._wants_all = wants, replace(options.selection, topics=()) == Selection()
         self.first_ns: int | None = None
         """The stamp of the log's first scan; None before it is seen"""
         self._wanted: Counter[str] = Counter()
@@ -282,7 +282,7 @@ class Drive:
         """
         self.poser.start_over()
         stamps = self.options.posing.stamps
-        selector = selector or Selector(self.options.selection, stamps)
+        selector = selector or Selector(self.options)
         chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
         chosen = (clean_cloud(some) if isinstance(some, Cloud) else some for some in chosen)
         limited = map(self.limits.apply, stack(map(self.poser.settle_moments, chosen), stamps))

@@ -71,16 +71,9 @@ def make_codec() -> Any:
 
 def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **others: Any) -> Any:
     """Add an array of squares, each a whole shard, with so many cells along the side."""
-    return group.create_array(
-        name,
-        shape=shape,
-        chunks=(min(CHUNK, side),) * 2,
-        shards=(side,) * 2,
-        compressors=make_codec(),
-        fill_value=0,
-        dimension_names=("y", "x"),
-        **others,
-    )
+    cut = {"chunks": (min(CHUNK, side),) * 2, "shards": (side,) * 2}
+    kept = {"compressors": make_codec(), "fill_value": 0, "dimension_names": ("y", "x")}
+    return group.create_array(name, shape=shape, **cut, **kept, **others)
 
 
 def add_level(classes: Any, side: int, shape: tuple[int, ...], shard: int) -> Any:
