@@ -30,7 +30,7 @@ from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
 from occmap.scans import Keep, estimate_agreement, make_engine, mounts
 from occmap.scans.logs import read_poser
-from occmap.scans.mounts import Posing
+from occmap.scans.mounts import PosePlan
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Update
@@ -252,19 +252,19 @@ def fit_globe(known: Float64) -> tuple[tuple[float, float], float, Float64]:
     return zero, math.degrees(angle), np.abs(here * turn + at - there)
 
 
-def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
+def sum_up_poses(topic: TopicSurvey, plan: PosePlan) -> PoseFindings:
     """Sum up how the scans of a topic get their poses."""
-    stated = topic.stated and posing.poser.options.takes_stated()
-    chain = None if stated else posing.poser.chains.get(next(iter(topic.frames)))
-    faults = [posing.faults[frame] for frame in topic.frames if frame in posing.faults]
+    stated = topic.stated and plan.poser.options.takes_stated()
+    chain = None if stated else plan.poser.chains.get(next(iter(topic.frames)))
+    faults = [plan.faults[frame] for frame in topic.frames if frame in plan.faults]
     return PoseFindings(
         stated=stated,
         chain=chain.frames if chain else (),
         posed=topic.posed,
-        dropped=dict(posing.poser.count_lost(topic.stream.topic)),
+        dropped=dict(plan.poser.count_lost(topic.stream.topic)),
         problem="; ".join(map(str, faults)),
-        assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
-        is_guess=posing.is_guess and bool(faults),
+        assumed=format_mount(plan.assumed) if plan.assumed and faults else "",
+        is_guess=plan.is_guess and bool(faults),
     )
 
 
