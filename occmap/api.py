@@ -62,14 +62,12 @@ class Map(OccupancyMap):
         UsageError
             The map was made with a model that sums up log-odds.
         """
-        hits, _ = self._read_counts()
-        return hits
+        return self._read_counts()[0]
 
     @property
     def misses(self) -> Float64:
         """(H, W): how many beams went through each cell; as `hits` otherwise."""
-        _, misses = self._read_counts()
-        return misses
+        return self._read_counts()[1]
 
     @refuse_failures()
     def save(self, path: str | Path) -> tuple[Path, ...]:
@@ -155,8 +153,8 @@ def build_map(*logs: AnyPaths, outputs: AnyPaths = (), **options: Any) -> Map:
     files: Paths = read_value("outputs", Paths, outputs)
     (paths, notes), chosen = read_request(logs, options, "build_map", files)
     made = build(paths, chosen, files)
-    report = replace(made.report, notes=(*notes, *made.report.notes))
-    return Map.of(made._replace(report=report), chosen.writing, list_input_files(paths, chosen))
+    told = made._replace(report=made.report.add_notes(notes))
+    return Map.of(told, chosen.writing, list_input_files(paths, chosen))
 
 
 if build_map.__doc__:  # Python leaves texts out where it is told to
@@ -224,8 +222,7 @@ def compare(
         read_value("models", tuple[SensorModel, ...], models, MODEL),
     )
     drawn = read_value("picture", Path | None, picture)
-    found = page.compare_logs(paths, variants, common, drawn)
-    return replace(found, notes=(*notes, *found.notes))
+    return page.compare_logs(paths, variants, common, drawn).add_notes(notes)
 
 
 @refuse_failures()
@@ -248,8 +245,7 @@ def tune(*logs: AnyPaths, **options: Any) -> tuning.Tuning:
         As `compare`.
     """
     (paths, notes), common = read_request(logs, options, "tune")
-    found = tuning.tune(paths, common)
-    return replace(found, notes=(*notes, *found.notes))
+    return tuning.tune(paths, common).add_notes(notes)
 
 
 @refuse_failures()
@@ -361,8 +357,7 @@ def score(  # noqa: PLR0913  what a caller gives, by name
     recordings, notes = find_inputs(read_value("logs", Paths, logs), chosen.reading)
     asked = {"truth": truth, "within_m": within_m, "fit": fit, "picture": picture}
     against = read_options(maps.Against, {"logs": recordings, **asked}, "score")
-    found = maps.score(read_value("path", Path, path), against, chosen)
-    return replace(found, notes=(*notes, *found.notes))
+    return maps.score(read_value("path", Path, path), against, chosen).add_notes(notes)
 
 
 @refuse_failures()
@@ -401,8 +396,8 @@ def explain(
     question = read_options(explanation.Question, asked, "explain")
     recordings, notes = find_inputs(question.logs, DEFAULT_OPTIONS, question.poses)
     question = replace(question, logs=tuple(recordings))
-    found = explanation.explain(open_saved(read_value("path", Path, path)), question)
-    return replace(found, notes=(*notes, *found.notes))
+    saved = open_saved(read_value("path", Path, path))
+    return explanation.explain(saved, question).add_notes(notes)
 
 
 @refuse_failures()

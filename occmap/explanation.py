@@ -24,7 +24,6 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.posing import NO_DRIFT
 from occmap.report import HIDDEN, Count, Printed, Share, count, join_names, printed_as
 from occmap.scans import Keep, make_engine, plan_grid
-from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tracing import Progress, Reading, ignore_progress, read_views
 from occmap.sensor import interpret
@@ -385,7 +384,7 @@ def prepare_look(drive: Drive, cell: Cell, ground: Ground | None) -> Callable[[P
         spec = plan_grid(options)
         return lambda posed: look_at_cell(interpret(posed, options.returns)[0], spec, row, col)
     if options.posing.height_drift is None:  # how large it was is recorded, and no more
-        drifts = count_ground(drive, count_scans(drive.log, drive.topics), None).drifts
+        drifts = count_ground(drive, drive.scans, None).drifts
         drive.poser.drift = drifts.get(str(drive.log.path))
     engine = make_engine(options, Keep(ground=ground))
 

@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,16 +23,16 @@ from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observe, Observed, Progress, ignore_progress
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import Blocks, open_saved, read_all
-from occmap.store.merging import add, refuse_different
+from occmap.store.merging import add, refuse_unlike
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
-from occmap.types import Journey, Update
+from occmap.types import Journey, Paths, Update
 from occmap.writers.atomic import hold_alone
 
 
 def build(
-    paths: Sequence[Path],
+    paths: Paths,
     options: BuildOptions,
-    outputs: Sequence[Path] = (),
+    outputs: Paths = (),
     progress: Progress = ignore_progress,
     observe: Observe = observe_here,
 ) -> Build:
@@ -91,7 +91,7 @@ def build(
         return Build(grid, report, evidence)
 
 
-def list_input_files(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
+def list_input_files(paths: Paths, options: BuildOptions) -> list[Path]:
     """List the files that a build reads, which nothing may write over."""
     inputs = [*paths, *options.posing.files]
     bags = [path / "metadata.yaml" for path in inputs]  # of a folder that is a bag
@@ -100,7 +100,7 @@ def list_input_files(paths: Sequence[Path], options: BuildOptions) -> list[Path]
 
 
 def open_past(
-    paths: Sequence[Path], options: BuildOptions, observe: Callable[[BuildOptions], Observed]
+    paths: Paths, options: BuildOptions, observe: Callable[[BuildOptions], Observed]
 ) -> tuple[Evidence | None, BuildOptions, list[str]]:
     """Read the evidence that a build is to be added to, if there is any.
 
@@ -122,7 +122,7 @@ def open_past(
         options = replace(options, posing=replace(options.posing, align=past.manifest.align))
     if past.manifest.update == Update.CLOUD:
         options = suit_kinds({Role.CLOUD: past.where}, options)
-    refuse_different(manifests.plan_manifest(options), past)
+    refuse_unlike(manifests.plan_manifest(options), past)
     if not options.fit:
         return past, options, []
     from occmap.scoring.matching import fit_logs  # noqa: PLC0415  late: few builds want it
@@ -132,7 +132,7 @@ def open_past(
 
 
 def choose_keep(
-    options: BuildOptions, outputs: Sequence[Path], past: Evidence | None
+    options: BuildOptions, outputs: Paths, past: Evidence | None
 ) -> tuple[BuildOptions, Keep]:
     """Choose what is kept of a build beside its tiles, and the ground that clouds are traced over.
 
@@ -177,7 +177,7 @@ def add_past(seen: Evidence, past: Evidence | None, options: BuildOptions) -> Ev
     return add(replace(past, manifest=manifest, ground=ground), seen, options.model)
 
 
-def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
+def inspect_logs(paths: Paths, options: BuildOptions) -> Any:
     """Inspect the logs as `occmap check` does."""
     from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
 

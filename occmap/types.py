@@ -10,9 +10,11 @@ left, z up, yaw counter-clockwise.
 
 import math
 import operator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
@@ -30,6 +32,8 @@ UInt8: TypeAlias = NDArray[np.uint8]
 UInt16: TypeAlias = NDArray[np.uint16]
 Bool: TypeAlias = NDArray[np.bool_]
 """Arrays, by the type of their numbers"""
+Paths: TypeAlias = Sequence[Path]
+"""Files and folders, as a user names them"""
 
 
 class Pose(NamedTuple):
@@ -48,13 +52,9 @@ class Pose(NamedTuple):
         """Build from a position and roll, pitch, yaw about fixed axes (REP 103), in radians."""
         (sr, sp, sy) = (math.sin(angle / 2) for angle in rpy)
         (cr, cp, cy) = (math.cos(angle / 2) for angle in rpy)
-        return cls(
-            *xyz,
-            qx=sr * cp * cy - cr * sp * sy,
-            qy=cr * sp * cy + sr * cp * sy,
-            qz=cr * cp * sy - sr * sp * cy,
-            qw=cr * cp * cy + sr * sp * sy,
-        )
+        qx, qy = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+        qz, qw = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+        return cls(*xyz, qx, qy, qz, qw)
 
     @classmethod
     def planar(cls, x: float, y: float, yaw: float) -> Self:

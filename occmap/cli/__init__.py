@@ -161,9 +161,7 @@ def main() -> None:
     sys.exit(code)
 
 
-ENDING = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-]
+ENDING = [getattr(signal, it) for it in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, it)]
 """Windows has no SIGHUP."""
 GRACE_S = 1.0
 """A terminal that closes may send two signals; the second must not break off the clearing up. As

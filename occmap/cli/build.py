@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from time import perf_counter
@@ -88,8 +87,7 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
         notes += unread
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
-    report = run_build(console, logs, chosen, values)
-    report = replace(report, notes=(*notes, *report.notes))
+    report = run_build(console, logs, chosen, values).add_notes(notes)
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.

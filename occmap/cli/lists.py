@@ -75,14 +75,8 @@ def format_plugins(working: Sequence[Listed], broken: Sequence[Broken]) -> Itera
 
 Schema = dict[str, Any]
 
-PLAIN: dict[Any, Schema] = {
-    str: {"type": "string"},
-    bool: {"type": "boolean"},
-    int: {"type": "integer"},
-    float: {"type": "number"},
-    NoneType: {"type": "null"},
-    Any: {},
-}
+TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
+PLAIN: dict[Any, Schema] = {Any: {}} | {kind: {"type": name} for kind, name in TYPES.items()}
 
 NAMES = [*(name for name in COMMANDS if name != "schema"), "error"]
 """Commands that print JSON; `error` is what any of them prints where it fails."""

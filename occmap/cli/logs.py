@@ -128,7 +128,7 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
     common = take(BuildOptions, values)
     found, notes = options.gather_logs(console, logs, common)
     comparison = compare_logs(found, chosen, common, values["picture"], console.advance)
-    comparison = replace(comparison, notes=(*notes, *comparison.notes))
+    comparison = comparison.add_notes(notes)
     return Answer(comparison, format_comparison(comparison))
 
 
@@ -181,8 +181,7 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     """
     common = take(BuildOptions, values)
     found, notes = options.gather_logs(console, logs, common)
-    tuning = tune(found, common, console.advance)
-    tuning = replace(tuning, notes=(*notes, *tuning.notes))
+    tuning = tune(found, common, console.advance).add_notes(notes)
     return Answer(tuning, format_tuning(tuning))
 
 

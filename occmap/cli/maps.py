@@ -5,7 +5,7 @@ scored and compared.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from occmap.scoring.matching import lay_on
 from occmap.store import Blocks, open_saved
 from occmap.store.merging import STAY, Transform, combine
 from occmap.store.painting import RenderOptions, publish, refuse_unsaved
+from occmap.types import Paths
 from occmap.writers import WriteOptions, check_outputs
 
 LIMIT = fail_if(SAVED, "unknown > 60%")
@@ -95,7 +96,7 @@ def render_command(console: Console, /, paths: tuple[Path, ...], **values: Any) 
 
 
 def put_out(
-    console: Console, inputs: Sequence[Path], read: Callable[[], Blocks], values: dict[str, Any]
+    console: Console, inputs: Paths, read: Callable[[], Blocks], values: dict[str, Any]
 ) -> Answer:
     """Render evidence, write it as the user wants, and sum it up.
 
@@ -228,19 +229,13 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
         yield "scans", f"none {used} observed the cell"
         return
     yield "scans", f"{len(scans):,} {used}: {explanation.explained}"
-    rows = [
-        (
-            f"{scan.stamp_ns / 1e9:.3f}",
-            *write_pair(scan.seen),
-            f"{scan.x:.3f}, {scan.y:.3f}",
-            f"{scan.distance:.3f}",
-            f"{Path(scan.log).name} {scan.topic}",
-        )
-        for scan in scans[:MOST_SCANS]
-    ]
     pair = "hits misses" if explanation.seen.log_odds is None else "log-odds observations"
-    head = ("stamp (s)", *pair.split(), "sensor at (m)", "away (m)", "from")
-    yield from (("", line) for line in align([head, *rows]))
+    rows = [("stamp (s)", *pair.split(), "sensor at (m)", "away (m)", "from")]
+    for scan in scans[:MOST_SCANS]:
+        place, log = f"{scan.x:.3f}, {scan.y:.3f}", f"{Path(scan.log).name} {scan.topic}"
+        away = f"{scan.distance:.3f}"
+        rows.append((f"{scan.stamp_ns / 1e9:.3f}", *write_pair(scan.seen), place, away, log))
+    yield from (("", line) for line in align(rows))
     if len(scans) > MOST_SCANS:
         yield "", f"and {len(scans) - MOST_SCANS:,} more: --json lists all"
 

@@ -7,7 +7,7 @@ patterns, stdin and stdout.
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import EnumType
@@ -27,6 +27,7 @@ from occmap.report import Row, is_damage, label_first
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.scans.logs import Inputs, find_inputs, keep_stdin
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
+from occmap.types import Paths
 from occmap.writers import WriteOptions, find_writer
 
 PIECE_BYTES = 1 << 20
@@ -86,10 +87,8 @@ def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...
 
 def one_output(name: str, metavar: str, text: str) -> CliOption:
     """Make the option that names the one file that a command writes."""
-    names = FILES, "-o", "--output", name
-    return CliOption(
-        *names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text
-    )
+    how = FILES, "-o", "--output", name
+    return CliOption(*how, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
 LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG...")
@@ -111,17 +110,11 @@ WRITING = [OUTPUTS, *fields(list_options(WriteOptions))]
 
 def list_model(usual: str) -> list[CliOption]:
     """Make the options of a sensor model; `usual` is what --help shows for the default."""
-    model = field(OPTIONS["model"], type=Value.of(str, "model"), show_default=usual)
-    parameters = [
-        CliOption(
-            *(model.section, "--" + name.replace("_", "-")),
-            type=Value.of(float, name),
-            metavar=metavar,
-            help=text,
-        )
-        for name, (metavar, text) in PARAMETERS.items()
-    ]
-    return [model, *parameters]
+    made = [field(OPTIONS["model"], type=Value.of(str, "model"), show_default=usual)]
+    for name, (metavar, text) in PARAMETERS.items():
+        names = OPTIONS["model"].section, "--" + name.replace("_", "-")
+        made.append(CliOption(*names, type=Value.of(float, name), metavar=metavar, help=text))
+    return made
 
 
 SAVED_MODEL = list_model("what it was built with")
@@ -159,9 +152,7 @@ STDOUT = "-"
 SCRATCH = "occmap-stdout-"
 
 
-def gather_logs(
-    console: Console, paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path] = ()
-) -> Inputs:
+def gather_logs(console: Console, logs: Paths, options: BuildOptions, others: Paths = ()) -> Inputs:
     """Find the recordings that the user means, and say what a folder holds of them.
 
     The notes that are given back are those of damage: no other one counts for `limits`.
@@ -171,13 +162,13 @@ def gather_logs(
     LogError
         Nothing comes on stdin.
     """
-    given = click.get_current_context().with_resource(keep_stdin(paths))
-    recordings, notes = find_inputs(given, options.reading, [*outputs, *options.posing.files])
+    given = click.get_current_context().with_resource(keep_stdin(logs))
+    recordings, notes = find_inputs(given, options.reading, [*others, *options.posing.files])
     console.announce(*notes)
     return recordings, list(filter(is_damage, notes))
 
 
-def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tuple[Path, ...]:
+def place_outputs(console: Console, outputs: Paths, first: Path) -> tuple[Path, ...]:
     """Name the maps that are to lie in a folder; what is meant for stdout goes to a file first.
 
     Parameters

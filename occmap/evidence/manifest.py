@@ -180,32 +180,22 @@ def plan_manifest(options: Any) -> Manifest:
     """Say what evidence a build makes, before it is known what it makes it of."""
     profile = describe_profile(options.model)
     kind = EvidenceKind.LOG_ODDS if profile else EvidenceKind.COUNTS
-    return Manifest(
-        options.resolution,
-        options.update.value,
-        kind.value,
-        profile,
-        options.pass_gap_s,
-        options.hit_offset,
-        describe_model(options.model),
-        builds=(),
-        align=options.posing.align,
-    )
+    of_cells = options.resolution, options.update.value, kind.value, profile
+    how = options.pass_gap_s, options.hit_offset, describe_model(options.model)
+    return Manifest(*of_cells, *how, builds=(), align=options.posing.align)
 
 
 MOST_NAMED = 20
 """Logs that a file of a map names at most"""
 
 
-def describe_about(
-    manifest: Manifest, evidence: str, options: Any, logs: Iterable[str] = ()
-) -> About:
+def describe_about(manifest: Manifest, name: str, options: Any, logs: Iterable[str] = ()) -> About:
     """Say what a map is of.
 
     Parameters
     ----------
-    evidence
-        What `Manifest.identify` calls it.
+    name
+        What `Manifest.identify` calls the evidence.
     options
         Those of a build or of a map of saved evidence.
     logs
@@ -224,7 +214,7 @@ def describe_about(
     rendering = hashlib.sha256(text.encode()).hexdigest()[:12]
     names = sorted({*list_logs(*manifest.builds), *logs})
     named = join_names(map(json.dumps, names), MOST_NAMED)
-    return About(version("occmap"), evidence, rendering, named, manifest.align or 0.0)
+    return About(version("occmap"), name, rendering, named, manifest.align or 0.0)
 
 
 def list_doubts(manifest: Manifest) -> Iterator[str]:

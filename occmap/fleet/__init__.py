@@ -8,7 +8,7 @@ counts and notes.
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -33,6 +33,7 @@ from occmap.scans.align import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observed, Progress
 from occmap.store.writing import create_store, finish_store
+from occmap.types import Paths
 from occmap.writers.atomic import lock, make_folder, refuse_unwritable
 
 BASE_BYTES = 300 << 20
@@ -55,11 +56,7 @@ class Fleet:
     """Told how far the work is"""
 
     def build(
-        self,
-        paths: Sequence[Path],
-        options: BuildOptions,
-        outputs: Sequence[Path],
-        progress: Progress,
+        self, paths: Paths, options: BuildOptions, outputs: Paths, progress: Progress
     ) -> Report:
         """Build one map by many workers, as `occmap.pipeline.build` does in one process.
 
@@ -78,7 +75,7 @@ class Fleet:
         return pipeline.build(paths, options, outputs, progress, self.observe).report
 
     def observe(
-        self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
+        self, paths: Paths, options: BuildOptions, keep: Keep, progress: Progress
     ) -> Observed:
         """Trace all usable scans of logs by many workers, as `occmap.scans.tracing.observe` does.
 
@@ -95,7 +92,7 @@ class Fleet:
             return Observed(seen, crew.tally, crew.setting.options)
 
     def _build_store(
-        self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
+        self, paths: Paths, options: BuildOptions, output: Path, progress: Progress
     ) -> Report:
         """Build a store of which this process never holds the map; raises as `build`."""
         writers.check_outputs([output], pipeline.list_input_files(paths, options), options.writing)
@@ -128,7 +125,7 @@ class Fleet:
 
     @contextmanager
     def work(
-        self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
+        self, paths: Paths, options: BuildOptions, keep: Keep, progress: Progress
     ) -> Iterator[Crew]:
         """Find workers, and let them trace all scans; what they found goes when the block ends.
 
@@ -164,9 +161,7 @@ def list_other_builds(folder: Path) -> Iterator[str]:
 
 
 @contextmanager
-def open_scratch(
-    scratch: Path, paths: Sequence[Path], options: BuildOptions, keep: Keep
-) -> Iterator[Path]:
+def open_scratch(scratch: Path, paths: Paths, options: BuildOptions, keep: Keep) -> Iterator[Path]:
     """Make, or find again, the folder where the tasks of this very build leave what they found.
 
     It goes away when the build is done, and with it `scratch`, unless that was there and empty.
@@ -202,12 +197,10 @@ def remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def digest_build(scratch: Path, paths: Sequence[Path], options: BuildOptions, keep: Keep) -> str:
+def digest_build(scratch: Path, paths: Paths, options: BuildOptions, keep: Keep) -> str:
     """Name a build by all that its tasks depend on: version, options, and files as they are."""
     inputs = [*paths, *options.posing.files]
-    states = [
-        file.stat() for path in inputs if path.exists() for file in manifests.list_files(path)
-    ]
+    states = [it.stat() for path in inputs if path.exists() for it in manifests.list_files(path)]
     what = [
         version("occmap"),
         manifests.write_options(options),

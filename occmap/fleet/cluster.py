@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 from occmap.errors import FleetError
 from occmap.plugins import need_extra
 from occmap.report import count
+from occmap.types import Paths
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -155,9 +156,7 @@ class Cluster:
 
 
 @contextmanager
-def open_cluster(
-    address: str, processes: int, describe: Callable[[str], None]
-) -> Iterator[Cluster]:
+def open_cluster(address: str, jobs: int, describe: Callable[[str], None]) -> Iterator[Cluster]:
     """Find the workers at an address, or start as many as asked for on this machine.
 
     What they log is not for the user of a map.
@@ -176,7 +175,7 @@ def open_cluster(
         import distributed  # noqa: F401, PLC0415  late: an extra, and it takes half a second
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    workers = start_local(processes) if address == LOCAL else nullcontext(address)
+    workers = start_local(jobs) if address == LOCAL else nullcontext(address)
     with workers as place, connect(place, address) as client:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
@@ -200,7 +199,7 @@ def miss_workers(client: "Client", address: str) -> None:
 
 
 @contextmanager
-def start_local(processes: int) -> Iterator[Any]:
+def start_local(jobs: int) -> Iterator[Any]:
     """Start so many workers on this machine; they end with the block.
 
     Ctrl-C, and a terminal that closes, reach all processes of a command. Workers never see that,
@@ -213,7 +212,7 @@ def start_local(processes: int) -> Iterator[Any]:
         hold_signals() as let_go,
         dask.config.set(ALLOCATOR),
         distributed.LocalCluster(
-            n_workers=processes,
+            n_workers=jobs,
             threads_per_worker=1,
             dashboard_address=":0",
             silence_logs=logging.CRITICAL,
@@ -284,7 +283,7 @@ def list_versions() -> str:
     return ", ".join(f"{name} {version(name)}" for name in MUST_EQUAL)
 
 
-def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
+def refuse_unseen_files(cluster: Cluster, paths: Paths) -> None:
     """Refuse to begin where not every worker sees the same files.
 
     Raises
@@ -298,6 +297,6 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
         raise FleetError(found, where=missing[0][0], fix="give a whole path that all of them share")
 
 
-def list_missing(paths: Sequence[Path]) -> list[Path]:
+def list_missing(paths: Paths) -> list[Path]:
     """List the paths that are not there."""
     return [path for path in paths if not path.exists()]

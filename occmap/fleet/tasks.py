@@ -149,12 +149,11 @@ def trace_log(setting: Setting, job: Job) -> tuple[Tally, Pieces]:
     OccmapError
         As `open_drive`, or the scratch folder cannot be written.
     """
-    options = replace(setting.options, jobs=1)
+    options, tally = replace(setting.options, jobs=1), Tally()
     log = open_log(Path(job.where), options.reading)
-    scans = count_scans(log, options.selection.topics)
-    tally = Tally(shown_every=setting.keep.choose_shown(scans * setting.logs))
     with tally.time("poses"):
         drive = open_drive(log, options)
+    tally.shown_every = setting.keep.choose_shown(drive.scans * setting.logs)
     # A name is used once, also where the log is read anew: another worker may be at the same log.
     names = (f"{job.name}.{number}.run" for number in count())
     runs = trace_drive(drive, partial(RunWriter, setting, names), tally)
@@ -186,15 +185,13 @@ class RunWriter:
         self.points.update(self._engine.points)
         plan = plan_manifest(self._setting.options)
         seen = Evidence(plan, self._engine.finish().tiles, self._engine.read_slices())
-        parts = write_run(self._setting.folder, next(self._names), split_evidence(seen))
+        parts = write_run(self._setting.folder / next(self._names), split_evidence(seen))
         for block, piece in parts.items():
             self.pieces[block].append(piece)
         self._engine = self._begin()
 
 
-def write_run(
-    folder: Path, name: str, parts: Iterable[tuple[Block, Evidence]]
-) -> dict[Block, Piece]:
+def write_run(path: Path, parts: Iterable[tuple[Block, Evidence]]) -> dict[Block, Piece]:
     """Write a run file; say where each block lies in it.
 
     Raises
@@ -203,11 +200,11 @@ def write_run(
         It cannot be written.
     """
     pieces, offset = {}, 0
-    with open_atomic(folder / name) as (file,):
+    with open_atomic(path) as (file,):
         for block, content in parts:
             data = COMPRESSOR.compress(pickle.dumps(content, protocol=5))
             file.write(data)
-            pieces[block] = Piece(name, offset, len(data))
+            pieces[block] = Piece(path.name, offset, len(data))
             offset += len(data)
     return pieces
 
@@ -267,7 +264,7 @@ def reduce_block(setting: Setting, job: BlockJob) -> Piece:
         A run file cannot be read, or the scratch folder cannot be written.
     """
     parts = [(job.block, add_up(setting, job.pieces))]
-    return write_run(setting.folder, f"{job.name}.run", parts)[job.block]
+    return write_run(setting.folder / f"{job.name}.run", parts)[job.block]
 
 
 def store_block(setting: Setting, job: BlockJob) -> tuple[BlockRecord, tuple[int, int]]:

@@ -17,23 +17,14 @@ import numpy as np
 
 from occmap.cells import CellBox, Key, Slices, Tile, view_tiles
 from occmap.errors import MapError
-from occmap.grid import MOST_CELLS_OF_BEAM
+from occmap.grid import MOST_CELLS_OF_BEAM, tiles
 from occmap.grid.kernels import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.kernels.beams import Tiles, read_tiles, sum_changes, trace_beams
 from occmap.grid.kernels.lines import Changes, Field
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.tiles import (
-    INT32_LIMIT,
-    MAX_CELLS,
-    WINDOW_CELLS,
-    GridSpec,
-    TileGrid,
-    mark_observed,
-    refuse_large,
-    unite,
-)
+from occmap.grid.tiles import MAX_CELLS, WINDOW_CELLS, GridSpec, TileGrid, mark_observed
 from occmap.types import Bool, Int64, Kind, Rays, Update
 
 
@@ -114,7 +105,7 @@ class Window(ABC):
     def read_tiles(self, cells: Int64, changes: Changes, inside: CellBox) -> tuple[Int64, Tile]:
         """Read the tiles of a box, which counts tiles, in which something was observed."""
         places = np.empty((inside.cells, 2), np.int64)
-        numbers = np.int32 if self.bound <= INT32_LIMIT else np.int64
+        numbers = np.int32 if self.bound <= np.iinfo(np.int32).max else np.int64
         # The last tile is read into and not kept.
         tiles = np.empty((inside.cells + 1, 2, TILE, TILE), numbers)
         found = read_tiles(cells, changes, self.packing, inside, places, tiles)
@@ -327,7 +318,7 @@ class Engine(ABC):
         """Which cells each slice observed of what `finish` gave; none where none are kept."""
         if self._slice_ns is None:
             return ()
-        self._slices = [unite(self._slices)]
+        self._slices = [tiles.unite(self._slices)]
         return tuple(self._slices)
 
 
@@ -416,7 +407,7 @@ class GridEngine(Engine):
     def _trace_parts(self, beams: Beams, best: type[Window]) -> None:
         """Trace in windows that lie beside each other, one after the other."""
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
-            refuse_large(beams.box, self.spec.lattice, self._max_cells)
+            tiles.refuse_large(beams.box, self.spec.lattice, self._max_cells)
         side = max(int(self._window_cells**0.5) // TILE, 1) * TILE
         for part in beams.box.align(TILE).cut(side):
             window = best(self.spec, part, int(self._number(beams.rays.stamp_ns)[0]))

@@ -288,22 +288,15 @@ def unpack_bits(slices: Slices) -> UInt8:
 def take_tiles(slices: Slices, which: Int64) -> Slices:
     """Some of the tiles, in the order of `which`."""
     part_edges, change_edges = find_edges(slices)
-    return Slices(
-        slices.tiles[which],
-        slices.numbers[which],
-        slices.rows[which],
-        slices.parts[list_places(part_edges, which)],
-        slices.changes[list_places(change_edges, which)],
-    )
+    parts = slices.parts[list_places(part_edges, which)]
+    changes = slices.changes[list_places(change_edges, which)]
+    return Slices(slices.tiles[which], slices.numbers[which], slices.rows[which], parts, changes)
 
 
 def find_edges(slices: Slices) -> tuple[Int64, Int64]:
     """(K + 1,) where the `parts` and the `changes` of each tile begin, and where the last ends."""
-    part_sizes = np.bitwise_count(slices.rows).sum(axis=1)
-    change_sizes = np.bitwise_count(slices.parts)
-    parts, changes = (
-        np.append(0, np.cumsum(sizes, dtype=np.int64)) for sizes in (part_sizes, change_sizes)
-    )
+    sizes = np.bitwise_count(slices.rows).sum(axis=1), np.bitwise_count(slices.parts)
+    parts, changes = (np.append(0, np.cumsum(each, dtype=np.int64)) for each in sizes)
     return parts, changes[parts]
 
 

@@ -29,11 +29,11 @@ from occmap.report import count, is_damage, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, doubt_frames, hint_at_tune
 from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
-from occmap.scans.mounts import Posing, find_better_mount, prepare
+from occmap.scans.mounts import PosePlan, find_better_mount, prepare
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.sensor.bands import BAND
-from occmap.types import PosedScans
+from occmap.types import Paths, PosedScans
 from occmap.values import DEGREES
 
 SHARE_OF_NOTE = 0.05
@@ -43,7 +43,7 @@ BYTES_PER_CELL = 4 + 1 + 8
 WRONG_TO_CLEAR = "beams without return lead through walls: `no_return=clear` is wrong here"
 
 
-def inspect(paths: Sequence[Path], options: BuildOptions, notes: Sequence[str] = ()) -> Inspection:
+def inspect(paths: Paths, options: BuildOptions, notes: Sequence[str] = ()) -> Inspection:
     """Look into logs, and judge them by what is in them, and by how large their map would be.
 
     What would make a build fail is among the findings, and is not raised.
@@ -307,22 +307,22 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
     try:
         log = open_log(path, options.reading)
         known = replace(known, streams=tuple(log.streams))
-        posing = prepare(log, look_ahead(log, options), options)
-        drive = Drive(log, posing.poser, options)
+        plan = prepare(log, look_ahead(log, options), options)
+        drive = Drive(log, plan.poser, options)
         for _ in drive.rounds():  # once more if the first ones hid "no return", or some leap away
             survey = Survey(drive)
             survey.survey()
     except OccmapError as error:  # a part that was read says nothing of the log
         notes = tuple(log.notes) if log else ()
         return replace(known, notes=notes, problem=str(error.placed(path)))
-    return sum_up_log(known, survey, posing)
+    return sum_up_log(known, survey, plan)
 
 
-def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFindings:
+def sum_up_log(known: LogFindings, survey: Survey, plan: PosePlan) -> LogFindings:
     """Add to what is known of a log what its scans showed."""
-    drive, poser, seen = survey.drive, posing.poser, list(survey.topics.values())
+    drive, poser, seen = survey.drive, plan.poser, list(survey.topics.values())
     log, options = drive.log, drive.options
-    scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
+    scans = tuple(describe_topic(drive, each, plan) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     doubts += ((it.topic, it.misfit) for it in scans if it.misfit)
     if any(it.better and poses.OTHER_POSES & it.better.remedy.keys() for it in scans):
@@ -379,7 +379,7 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
     return box, notes, against, problem
 
 
-def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFindings:
+def describe_topic(drive: Drive, topic: TopicSurvey, plan: PosePlan) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     options, parts, ranked = drive.options, topic.sample.parts, topic.shapes.most_common()
     misfit = find_better_mount(drive, parts)
@@ -396,7 +396,7 @@ def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFind
         shape_count=len(ranked),
         ranges=topic.census.sum_up(parts, options.returns),
         times=topic.stamps.sum_up(moving_ns),
-        poses=poses.sum_up_poses(topic, posing),
+        poses=poses.sum_up_poses(topic, plan),
         mount=poses.sum_up_mount(drive.poser, topic.stream.topic, misfit),
         agreement=estimate_agreement(parts, options),
         misfit=misfit,

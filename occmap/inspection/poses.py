@@ -21,16 +21,16 @@ from occmap.grid import Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body
 from occmap.options import OPTIONS, BuildOptions
-from occmap.posing import Concern, Deskew, Doubt, Stamps
+from occmap.posing import POSED, Concern, Deskew, Doubt, Stamps
 from occmap.posing.attach import Poser
-from occmap.posing.chain import Chain, Status, Transforms, place_logs
+from occmap.posing.chain import Chain, Transforms, place_logs
 from occmap.posing.sources import Sources
 from occmap.readers import Role
 from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
 from occmap.scans import Keep, estimate_agreement, make_engine, mounts
 from occmap.scans.logs import read_poser
-from occmap.scans.mounts import Posing
+from occmap.scans.mounts import PosePlan
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Update
@@ -157,7 +157,7 @@ def share_posed(poser: Poser, topic: TopicSurvey) -> float:
     stamps = poser.options.stamps.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
     in_clouds = topic.stream.role is Role.CLOUD
-    return float(np.mean(chain.at(stamp_ns, in_clouds).status == Status.POSED))
+    return float(np.mean(chain.at(stamp_ns, in_clouds).status == POSED))
 
 
 def list_coverage(sources: Sources) -> list[Coverage]:
@@ -207,7 +207,7 @@ def tell_fixes(drive: Drive) -> Iterator[str]:
     stamp_ns, _, *globe = (np.array(each) for each in zip(*fixes, strict=True))
     found = chain.at(stamp_ns + round(poser.options.time_offset_s * 1e9))
     place = place_logs(replace(poser.options, align=None)).then(found).position[:, :2]
-    known = np.column_stack([place, *globe])[found.status == Status.POSED]
+    known = np.column_stack([place, *globe])[found.status == POSED]
     if len(known) < FEWEST_FIXES:
         yield f"only {count(len(known), 'satellite position')} came while poses are known"
         return
@@ -252,19 +252,19 @@ def fit_globe(known: Float64) -> tuple[tuple[float, float], float, Float64]:
     return zero, math.degrees(angle), np.abs(here * turn + at - there)
 
 
-def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
+def sum_up_poses(topic: TopicSurvey, plan: PosePlan) -> PoseFindings:
     """Sum up how the scans of a topic get their poses."""
-    stated = topic.stated and posing.poser.options.poses is None
-    chain = None if stated else posing.poser.chains.get(next(iter(topic.frames)))
-    faults = [posing.faults[frame] for frame in topic.frames if frame in posing.faults]
+    stated = topic.stated and plan.poser.options.takes_stated()
+    chain = None if stated else plan.poser.chains.get(next(iter(topic.frames)))
+    faults = [plan.faults[frame] for frame in topic.frames if frame in plan.faults]
     return PoseFindings(
         stated=stated,
         chain=chain.frames if chain else (),
         posed=topic.posed,
-        dropped=dict(posing.poser.count_lost(topic.stream.topic)),
+        dropped=dict(plan.poser.count_lost(topic.stream.topic)),
         problem="; ".join(map(str, faults)),
-        assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
-        is_guess=posing.is_guess and bool(faults),
+        assumed=format_mount(plan.assumed) if plan.assumed and faults else "",
+        is_guess=plan.is_guess and bool(faults),
     )
 
 

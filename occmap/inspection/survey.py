@@ -388,7 +388,7 @@ class Survey(Selector):
 
     def __init__(self, drive: Drive) -> None:
         options = drive.options
-        super().__init__(options.selection, options.posing.stamps)
+        super().__init__(options)
         self.drive = drive
         streams = {each.topic: each for each in reversed(drive.log.streams)}
         self.topics = {

@@ -28,7 +28,7 @@ from occmap.options import BuildOptions, spell_flags
 from occmap.report import Noted, join_names, name_stdin
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring.compare import ScoredVariant, Variant, VariantComparison, compare
-from occmap.types import UInt8
+from occmap.types import Paths, UInt8
 from occmap.writers import Product, WriteOptions, Writer, check_picture, refuse_input
 from occmap.writers.atomic import open_atomic
 
@@ -207,7 +207,7 @@ RED, BLUE = (214, 39, 40), (110, 160, 230)
 
 
 def compare_logs(
-    paths: Sequence[Path],
+    paths: Paths,
     variants: Sequence[Variant],
     options: BuildOptions,
     picture: Path | None,

@@ -135,9 +135,7 @@ def tell_scores(comparison: compare.VariantComparison) -> Block:
     """Tabulate the scores of all variants."""
     variant, *numbers = compare.SCORES
     head = [variant, *(f"#{name}" for name in numbers), "as good within the error"]
-    rows = [
-        [*compare.list_scores(each), "yes" if each.as_good else ""] for each in comparison.results
-    ]
+    rows = [[*compare.list_scores(it), "yes" if it.as_good else ""] for it in comparison.results]
     rows[comparison.results.index(comparison.recommended)][-1] = "preferred"
     return Block("table", rows, head)
 

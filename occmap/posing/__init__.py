@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 from occmap.choices import ABOVE_ZERO, DRIFT, MOUNT, PLACE, TILT, TRANSFORM, check_bounds, option
 from occmap.errors import require
-from occmap.types import Pose, PoseSample
+from occmap.types import Pose, PoseSample, Recorded
 
 Time = TypeVar("Time")
 Drift: TypeAlias = tuple[tuple[int, ...], tuple[int, ...]]
@@ -55,8 +55,12 @@ class Stamps(StrEnum):
         return record_ns if self is Stamps.RECORD else stamp_ns
 
 
+POSED = 0
+"""Stands in arrays for a scan that has a pose, where others have the code of a reason"""
+
+
 class DropReason(StrEnum):
-    """Why a scan has no pose."""
+    """Why a scan has no pose; of several reasons the last one of these counts."""
 
     BEFORE = "before the first pose"
     AFTER = "after the last pose"
@@ -65,6 +69,11 @@ class DropReason(StrEnum):
     UNUSABLE = "pose not finite or beyond 1e12 m or without a rotation"
     LEAP = "further from their neighbours than `max_speed` allows"
     NO_TRANSFORM = "no transform to the scan's frame"
+
+    @property
+    def code(self) -> int:
+        """What stands for it in arrays."""
+        return list(DropReason).index(self) + 1
 
 
 class Concern(NamedTuple):
@@ -194,6 +203,10 @@ class PosingOptions:
         for pose in filter(None, (*fixed, self.transform, self.sensor_pose)):
             is_place = all(abs(value) <= MAX_PLACE_M for value in pose) and any(pose[3:])
             require(is_place, f"nothing can be at {pose[:3]}", "give metres and radians")
+
+    def takes_stated(self, *scans: Recorded) -> bool:
+        """Whether the poses beside scans count: each has one, and `poses` names no others."""
+        return self.poses is None and all(each.pose is not None for each in scans)
 
     @property
     def recording(self) -> tuple[Path, str] | None:

@@ -13,9 +13,9 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.errors import PoseError
-from occmap.posing import Concern, Deskew, Doubt, Drift, PosingOptions, chain
+from occmap.posing import POSED, Concern, Deskew, Doubt, Drift, DropReason, PosingOptions, chain
 from occmap.posing import course as courses
-from occmap.posing.chain import Chain, Status, Transforms, place_logs, tilt
+from occmap.posing.chain import Chain, Transforms, place_logs, tilt
 from occmap.posing.course import Course, Stance
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS, Track
@@ -130,7 +130,7 @@ class Poser:
 
         Some drivers stamp the end of a sweep, and then its earliest point is no better moment.
         """
-        if not isinstance(some, Cloud) or some.offset_ns is None or self._is_stated(some):
+        if not isinstance(some, Cloud) or some.offset_ns is None:
             return some
         way, duration_ns = self._find_way(some), np.ptp(some.offset_ns, keepdims=True)
         if way is None or way.is_dense(duration_ns / 1e9):
@@ -147,7 +147,7 @@ class Poser:
         """
         batch, stamp_ns = posed.batch, self._convert(posed.stamp_ns)
         stood_s = np.zeros(len(stamp_ns))
-        way = None if self._is_stated(batch) else self._find_way(batch)
+        way = self._find_way(batch)
         if way and not way.interval_s:
             way = self._find_carrier(batch.frame)
         if way is None:
@@ -160,7 +160,7 @@ class Poser:
             moved = np.linalg.norm(position - position[0], axis=2)
             cosine = (np.einsum("tsij,sij->ts", rotation, rotation[0]) - 1) / 2
             stands = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
-            stands &= there.status.reshape(shape) == Status.POSED
+            stands &= there.status.reshape(shape) == POSED
             stood_s += (np.logical_and.accumulate(stands) * apart_s).max(axis=0)
         return stood_s
 
@@ -174,12 +174,12 @@ class Poser:
         """
         if not len(batch.stamp_ns):
             return
-        if batch.pose is not None and self._is_stated(batch):
+        if batch.pose is not None and self.options.takes_stated():
             yield from self._keep(batch, self._read_stated(batch.pose))
             return
         if (way := self._find_way(batch)) is None:
             course = self.courses.setdefault((batch.topic, batch.frame), Course())
-            status = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
+            status = np.full(len(batch.stamp_ns), DropReason.NO_TRANSFORM.code, np.uint8)
             course.lose(batch.stamp_ns, status)
             return
         stamp_ns = self._convert(batch.stamp_ns)
@@ -198,10 +198,10 @@ class Poser:
         if not deskewed.all():
             yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed], in_clouds))
 
-    def _is_stated(self, some: Cloud | ScanBatch) -> bool:
-        return some.pose is not None and self.options.poses is None
-
     def _find_way(self, some: Cloud | ScanBatch) -> Chain | None:
+        """Find the chain to the frame of scans; None: there is none, or poses stand beside them."""
+        if self.options.takes_stated(some):
+            return None
         if some.frame not in self.chains:
             self.find_chains([some.frame])
         return self.chains.get(some.frame)
@@ -248,8 +248,8 @@ class Poser:
         places = found if seen_from is None else seen_from
         status = places.status.reshape(len(stamp_ns), -1).max(axis=1)
         if laser in self.leaps:
-            status[np.isin(stamp_ns, self.leaps[laser])] = Status.LEAP
-        kept = status == Status.POSED
+            status[np.isin(stamp_ns, self.leaps[laser])] = DropReason.LEAP.code
+        kept = status == POSED
         course = self.courses.setdefault(laser, Course())
         if not kept.all():
             course.lose(batch.stamp_ns[~kept], status[~kept])

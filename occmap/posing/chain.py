@@ -13,12 +13,11 @@ that is not de-skewed has one pose, at its stamp.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing import Deskew, PosingOptions
+from occmap.posing import Deskew, DropReason, PosingOptions
 from occmap.posing.frames import Edge, find_moving, last_part
 from occmap.posing.tracks import Track, find_usable, rotate_by, slerp, to_quaternions
 from occmap.types import IDENTITY, Bool, Float64, Int64, Pose, PosedScans, ScanBatch, UInt8
@@ -34,11 +33,6 @@ it turned: at five metres a degree moves a wall by two cells. So near to a pose 
 Poses that are no farther apart show how a sensor moved in a scan."""
 
 
-Status = IntEnum("Status", "POSED BEFORE AFTER GAP TURN UNUSABLE LEAP NO_TRANSFORM", start=0)
-"""Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`. Where
-the legs of a chain differ, the highest number counts."""
-
-
 class Transforms(NamedTuple):
     """Where one frame was in another at N stamps, or at all times (N = 1)."""
 
@@ -47,7 +41,7 @@ class Transforms(NamedTuple):
     rotation: Float64
     """(N, 3, 3)"""
     status: UInt8
-    """(N,) of Status"""
+    """(N,) POSED, or the code of a `DropReason`; that of the leg with the highest one counts"""
 
     @classmethod
     def of(cls, position: Float64, quaternion: Float64) -> Self:
@@ -66,7 +60,7 @@ class Transforms(NamedTuple):
         usable, norm = find_usable(poses)
         poses = np.where(usable[:, None], poses, IDENTITY)
         found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
-        found.status[~usable] = Status.UNUSABLE
+        found.status[~usable] = DropReason.UNUSABLE.code
         return found
 
     @property
@@ -81,11 +75,9 @@ class Transforms(NamedTuple):
 
     def then(self, below: Self) -> Self:
         """Compose with a transform that is given in the lower frame of this one."""
-        return type(self)(
-            self.position + turn(self.rotation, below.position),
-            self.rotation @ below.rotation,
-            np.maximum(self.status, below.status),
-        )
+        position = self.position + turn(self.rotation, below.position)
+        status = np.maximum(self.status, below.status)
+        return type(self)(position, self.rotation @ below.rotation, status)
 
     def invert(self) -> Self:
         """Make the inverse: where the upper frame was in the lower one."""
@@ -142,13 +134,13 @@ class Moving:
             start + fraction[:, None] * (end - start),
             slerp(track.quaternion[earlier], track.quaternion[later], fraction),
         )
-        found.status[(width > self.max_gap_ns) & (since > 0)] = Status.GAP
+        found.status[(width > self.max_gap_ns) & (since > 0)] = DropReason.GAP.code
         if in_clouds and self.max_gap_ns < np.inf:
             between = np.minimum(since, width - since) > AT_POSE_S * 1e9
             turned = np.append(track.step_rad, 0)[earlier] > TURNED_RAD
-            found.status[between & turned & (width > KEY_FRAMES_S * 1e9)] = Status.TURN
-        found.status[stamp_ns < stamps[0]] = Status.BEFORE
-        found.status[stamp_ns > stamps[-1]] = Status.AFTER
+            found.status[between & turned & (width > KEY_FRAMES_S * 1e9)] = DropReason.TURN.code
+        found.status[stamp_ns < stamps[0]] = DropReason.BEFORE.code
+        found.status[stamp_ns > stamps[-1]] = DropReason.AFTER.code
         return found.invert() if self.step.inverted else found
 
 

@@ -16,8 +16,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.choices import mark_options
-from occmap.posing import Concern, DropReason, Stamps, tracks
-from occmap.posing.chain import Chain, Moving, Status, Transforms, make_chain, turn
+from occmap.posing import POSED, Concern, DropReason, Stamps, tracks
+from occmap.posing.chain import Chain, Moving, Transforms, make_chain, turn
 from occmap.posing.frames import Edge, Source
 from occmap.posing.tracks import Track, TrackBuilder
 from occmap.types import Bool, Float64, Int64, PosedScans, UInt8
@@ -191,7 +191,7 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
     times = np.array(sorted(breaks), np.int64)
     before = chain.at(np.array([breaks[each][0] for each in times.tolist()], np.int64))
     moved = chain.at(times).then(before.invert())
-    scans = np.where(moved.status == Status.POSED, np.searchsorted(stamp_ns, times), 0)
+    scans = np.where(moved.status == POSED, np.searchsorted(stamp_ns, times), 0)
     found: dict[int, Jump] = {}
     for number in np.unique(scans[(scans > 0) & (scans < len(stamp_ns))]).tolist():
         rows = np.flatnonzero(scans == number)
@@ -365,9 +365,10 @@ class Course(TrackBuilder):
 
     def list_lost(self) -> Iterator[tuple[int, DropReason]]:
         """List the stamps of scans that have no usable pose, each with the reason."""
+        reasons = list(DropReason)
         for stamp_ns, status in self._lost:
             for each, code in zip(stamp_ns.tolist(), status.tolist(), strict=True):
-                yield each, DropReason[Status(code).name]
+                yield each, reasons[code - 1]
 
     def list_poses(self) -> tuple[Int64, Float64]:
         """List the stamps (N,) and poses (N, 7) of the scans that were seen, in their order."""

@@ -221,11 +221,7 @@ def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
             raise PoseError(found, fix=fix)
     own = {name: track for home in homes for name, track in moved[home].items()}
     others = {space for space in moved if _contradict(own, moved[space])}
-    return [
-        edge
-        for edge, space in tf
-        if space in others and (space or (edge.parent, edge.child) in own)
-    ]
+    return [it for it, space in tf if space in others and (space or (it.parent, it.child) in own)]
 
 
 def _contradict(one: Moved, other: Moved) -> bool:

@@ -23,6 +23,8 @@ from occmap.report import count, join_names
 from occmap.types import Moments, PoseBatch, PoseSample
 from occmap.values import name_origin
 
+Poses: TypeAlias = Iterable[PoseSample | PoseBatch]
+"""Samples as logs give them, many at once where one by one takes long"""
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""
 
@@ -55,10 +57,7 @@ class Sources:
 
 
 def gather(
-    samples: Iterable[PoseSample | PoseBatch],
-    options: PosingOptions,
-    moments: Moments | None = None,
-    topics: Sequence[str] = (),
+    sent: Poses, options: PosingOptions, moments: Moments | None = None, topics: Sequence[str] = ()
 ) -> Sources:
     """Read every sample once and sort them by what they say.
 
@@ -76,7 +75,7 @@ def gather(
         The trajectory file cannot be read.
     """
     notes: list[str] = []
-    every = _build_edges(samples, options.stamps, notes)
+    every = _build_edges(sent, options.stamps, notes)
     doubts = tuple(notes)
     edges, of_other = _borrow(every, options)
     strangers = find_strangers(edges, topics)
@@ -105,9 +104,7 @@ def gather(
     return Sources(tree, tuple(poses), trajectory, tuple(notes), doubts, lidar)
 
 
-def _build_edges(
-    samples: Iterable[PoseSample | PoseBatch], stamps: Stamps, notes: list[str]
-) -> list[Edge]:
+def _build_edges(sent: Poses, stamps: Stamps, notes: list[str]) -> list[Edge]:
     """Make an edge of all samples that share topic and frames.
 
     Parameters
@@ -116,7 +113,7 @@ def _build_edges(
         Grows by a note on each edge with poses that cannot be used, and on fixed ones that change.
     """
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
-    for item in samples:
+    for item in sent:
         builder = builders[item.topic, item.parent, item.child, item.static]
         # The stamps of what holds at all times mean nothing.
         stamp_ns = item.record_ns if item.static else stamps.choose(item.stamp_ns, item.record_ns)
@@ -228,9 +225,7 @@ def _find_trajectory(
     raise PoseError(found, where=name, fix=fix)
 
 
-def _list_beside(
-    edges: Iterable[Edge], strangers: Iterable[Edge], topics: Iterable[str]
-) -> Iterator[str]:
+def _list_beside(edges: list[Edge], strangers: list[Edge], topics: Iterable[str]) -> Iterator[str]:
     """Say which transforms are left out as another robot's, and which are of other recordings."""
     tf = sorted({edge.topic for edge in edges if edge.source is Source.TF})
     if left_out := sorted({edge.topic for edge in strangers}):

@@ -4,7 +4,6 @@ Rotations are vectorised: quaternions as (N, 4) rows of x, y, z, w; matrices as 
 """
 
 from array import array
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -81,11 +80,8 @@ def _nearer(start: Float64, end: Float64) -> Float64:
 
 def _half_chords(start: Float64, end: Float64) -> tuple[Float64, Float64]:
     """Sine and cosine, up to one factor, of half the arc: exact at small angles, as acos is not."""
-    apart, along = end - start, end + start
-    return (
-        np.sqrt(np.einsum("ij,ij->i", apart, apart)),
-        np.sqrt(np.einsum("ij,ij->i", along, along)),
-    )
+    apart, along = (np.einsum("ij,ij->i", it, it) for it in (end - start, end + start))
+    return np.sqrt(apart), np.sqrt(along)
 
 
 FIXED_M = 1e-4
@@ -168,9 +164,7 @@ class TrackBuilder:
         self.unusable = 0
         """Samples that were left out: not usable (`find_usable`), or with no sound stamp"""
 
-    def add(
-        self, stamp_ns: int | Int64, record_ns: int | Int64, pose: Sequence[float] | Float64
-    ) -> None:
+    def add(self, stamp_ns: int | Int64, record_ns: int | Int64, pose: Pose | Float64) -> None:
         """Take a sample, or many (N,): when it counts, when it was recorded, and its pose (7,)."""
         self._times.frombytes(np.array([stamp_ns, record_ns], np.int64).T.tobytes())
         self._values.frombytes(np.array(pose, np.float64).tobytes())

@@ -9,7 +9,7 @@ http://paulbourke.net/dataformats/ply/. Every `read_` function takes the bytes o
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from glob import glob
 from io import BytesIO
@@ -18,23 +18,21 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.jit import kernel
 from occmap.readers import Log, NoteList, Probe, Role, Stream
-from occmap.readers.cloud_messages import make_cloud, tell_clouds
+from occmap.readers.cloud_messages import Columns, make_cloud, tell_clouds
 from occmap.readers.decimals import NUMBER, parse_words
 from occmap.report import count, join_names
-from occmap.types import Cloud, Moments, UInt8
+from occmap.types import Cloud, Moments, Paths, UInt8
 from occmap.values import guess_unit, parse_time, shorten
 
 
 class Points(NamedTuple):
     """The fields of the points of a file."""
 
-    columns: Mapping[str, NDArray[Any]]
-    """(N,) each, by the names that the file gives them"""
+    columns: Columns
     announced: int
     """How many points it announces: more than N where it is cut short"""
 
@@ -249,12 +247,7 @@ def _parse_text(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Poi
     return Points({name: rows[:, at] for name, at in zip(names, places, strict=True)}, points)
 
 
-READERS: Mapping[str, Read] = {
-    ".pcd": read_pcd,
-    ".ply": read_ply,
-    ".bin": read_bin,
-    ".npy": read_npy,
-}
+READERS: dict[str, Read] = {".pcd": read_pcd, ".ply": read_ply, ".bin": read_bin, ".npy": read_npy}
 
 
 TOPIC, FRAME = "clouds", "lidar"
@@ -360,7 +353,7 @@ def _make_key(path: Path) -> list[tuple[int, str]]:
     return [(int(part) if part.isdecimal() else -1, part) for part in _DIGITS.split(str(path))]
 
 
-def read_times(paths: Sequence[Path]) -> list[int]:
+def read_times(paths: Paths) -> list[int]:
     """Read the times that stand in the names of files, in ns; none where some name has none."""
     stems = [path.stem.removesuffix(".pcd") for path in paths]  # nuScenes calls them .pcd.bin
     found = [each for each in map(_TIME.search, stems) if each]

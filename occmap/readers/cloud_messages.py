@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ LONGEST_SWEEP_NS = 1_000_000_000
 BEYOND = "which reach more than a second from the stamp: all points are taken at it"
 _FLOAT = np.dtype(np.float32)
 US, MS = 1e3, 1e6
+Columns: TypeAlias = Mapping[str, NDArray[Any]]
+"""(N,) each: the fields of points, by the names that their driver or file gives them"""
+Layout: TypeAlias = Mapping[str, tuple[str, int]]
+"""NumPy's type of each field of a point, and its place"""
 UNITS = {1.0: "ns", US: "us", MS: "ms", 1e9: "s"}
 
 ROS_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -58,9 +62,7 @@ def convert_listed(message: Any, topic: str, record_ns: int) -> Cloud:
     return make_cloud(columns, get_header(message), topic, record_ns)
 
 
-def read_fields(
-    message: Any, type_name: str, kinds: Mapping[int, str]
-) -> dict[str, tuple[str, int]]:
+def read_fields(message: Any, type_name: str, kinds: Mapping[int, str]) -> Layout:
     """Read what the points of a message hold that is used: NumPy's type and the place of each."""
     fields = {}
     for field in get_list(message, "fields"):
@@ -70,7 +72,7 @@ def read_fields(
     return fields
 
 
-def view_packed(message: Any) -> dict[str, NDArray[Any]]:
+def view_packed(message: Any) -> Columns:
     """See the fields of the points of a foxglove.PointCloud."""
     data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
     fields = read_fields(message, "type", FOXGLOVE_KINDS)
@@ -78,12 +80,8 @@ def view_packed(message: Any) -> dict[str, NDArray[Any]]:
 
 
 def view_columns(
-    data: UInt8,
-    fields: Mapping[str, tuple[str, int]],
-    shape: tuple[int, int],
-    steps: tuple[int, int],
-    order: str = "<",
-) -> dict[str, NDArray[Any]]:
+    data: UInt8, fields: Layout, shape: tuple[int, int], steps: tuple[int, int], order: str = "<"
+) -> Columns:
     """See the fields of points, (N,) each, by their names.
 
     Parameters
@@ -111,9 +109,7 @@ def view_columns(
     return columns
 
 
-def make_cloud(
-    columns: Mapping[str, NDArray[Any]], header: tuple[int, str], topic: str, record_ns: int
-) -> Cloud:
+def make_cloud(columns: Columns, header: tuple[int, str], topic: str, record_ns: int) -> Cloud:
     """Make a cloud of the fields of its points, its stamp and frame, its topic and record time.
 
     Raises

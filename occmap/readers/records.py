@@ -120,9 +120,7 @@ class RecordSource(ABC):
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with self.path.open("rb") as opened:
             file = FileBytes(opened)
-            skipped = {
-                at for at, held in self._chunks.items() if held and by_id.keys().isdisjoint(held)
-            }
+            skipped = {at for at, held in self._chunks.items() if held and not by_id.keys() & held}
             for _, block, records in self._open_blocks(file, skipped):
                 found = [each for each in records if each[0] in by_id]
                 size = sum(end - start for _, _, _, start, end in found)

@@ -30,8 +30,6 @@ from occmap.readers.messages import make_parser
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanBatch
 
 T = TypeVar("T")
-Convert: TypeAlias = Callable[[Any, str, int], Any]
-"""From a decoded message, its topic and its record time in ns, to a value or a list of them"""
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 read_frame = partial(get_frame, path="header.frame_id")
@@ -78,11 +76,9 @@ class RosLog(Log):
             if channel.count and (node := PACKETS.get(channel.kind)):
                 found = f"{name} are packets of a lidar"
                 self.notes.add(f"{found}: record the clouds that {node} makes of them")
-            if kind.needs is Echo:
-                kind = kind.bind(options.echo)
-            elif kind.needs is Camera:
-                camera = self._find_camera(channel)
-                kind = kind.bind(camera) if camera else UNUSED
+            if kind.needs:
+                needed = options.echo if kind.needs is Echo else self._find_camera(channel)
+                kind = kind.bind(needed) if needed else UNUSED
             self._types[channel] = kind
 
         counts: Counter[tuple[str, str, Role]] = Counter()
@@ -209,7 +205,7 @@ class _ChannelReader:
     Where that cannot be understood, the standard definition stands in.
     """
 
-    def __init__(self, channel: Channel, kind: MessageType, convert: Convert) -> None:
+    def __init__(self, channel: Channel, kind: MessageType, convert: Callable[..., Any]) -> None:
         self.messages = self.failures = 0
         self.uses_standard = False
         self.first_fault = ""

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -24,6 +24,7 @@ from occmap.readers.containers import Channel, RawMessage, Source, inflate_messa
 from occmap.readers.mcap import McapSource
 from occmap.readers.ros_log import RosReader
 from occmap.readers.sqlite import SqliteSource
+from occmap.types import Paths
 from occmap.values import ZSTD_MAGIC
 
 METADATA = "metadata.yaml"
@@ -33,9 +34,6 @@ _BAD_METADATA = YAMLError, LookupError, TypeError, AttributeError, ValueError, R
 """What is raised where it is not as recorders write it"""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
-_Metadata: TypeAlias = tuple[Sequence[str], Mapping[tuple[str, str], int]]
-"""What only metadata.yaml says: the files, and how many messages there are by topic and type"""
-
 
 def list_storage(folder: Path) -> list[Path]:
     """List the storage files of a folder, those of a split recording by their numbers."""
@@ -44,7 +42,7 @@ def list_storage(folder: Path) -> list[Path]:
     return sorted(paths, key=lambda path: ([int(n) for n in re.findall(r"\d+", path.name)], path))
 
 
-def refuse_mixed(folder: Path, files: Sequence[Path]) -> None:
+def refuse_mixed(folder: Path, files: Paths) -> None:
     """Refuse to read several recordings as one, where no metadata says what belongs together.
 
     Raises
@@ -114,7 +112,7 @@ class Bag2Source:
             self.notes.add_damage(f"{text}; move {METADATA} away to read all files")
         return there
 
-    def _open_parts(self, files: Sequence[Path]) -> list[Source]:
+    def _open_parts(self, files: Paths) -> list[Source]:
         """Open storage files; one that cannot be read is noted, unless there is no other."""
         parts: list[Source] = []
         for file in files:
@@ -139,10 +137,11 @@ class Bag2Source:
             self.notes.add_damage(f"{file.name} {problem}")
         return target
 
-    def _read_metadata(self) -> _Metadata:
-        """Read metadata.yaml; where it is absent or damaged, the files speak for themselves.
+    def _read_metadata(self) -> tuple[Sequence[str], Mapping[tuple[str, str], int]]:
+        """Read what only metadata.yaml says: the files, and messages by topic and type.
 
-        Every value is taken as text, so nothing in it can unfold.
+        Where it is absent or damaged, the files speak for themselves. Every value is taken as
+        text, so nothing in it can unfold.
         """
         path = self.path / METADATA
         if not path.is_file():

@@ -6,7 +6,7 @@ The index on time is not used to find rows; it says how many there should be.
 import os
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -91,13 +91,11 @@ class SqliteSource:
         """Count the messages of each topic that can be read; the index says how many there are."""
         announced = 0
         with suppress(*_ERRORS):
-            query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
-            ((announced,),) = database.execute(query)
+            sql = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
+            ((announced,),) = database.execute(sql)
         try:
-            query = (
-                "SELECT CAST(topic_id AS INTEGER), count(*) FROM messages NOT INDEXED GROUP BY 1"
-            )
-            counts = Counter(dict(database.execute(query)))
+            sql = "SELECT CAST(topic_id AS INTEGER), count(*) FROM messages NOT INDEXED GROUP BY 1"
+            counts = Counter(dict(database.execute(sql)))
         except _ERRORS:
             rows = self._read_rows(database, "length(data)", topics)
             counts = Counter(topic for _, topic, _, _ in rows)
@@ -147,18 +145,16 @@ def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
     definitions: dict[str, str] = {}
     columns = ("topic_type", "encoding", "encoded_message_definition")
     with suppress(apsw.SQLError):
-        rows = _read_texts(database, "message_definitions", columns)
+        rows = _read_texts(database, "message_definitions", *columns)
         definitions = {kind: text for kind, form, text in rows if form == "ros2msg"}
     fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")
     return {
         int(key): Channel(name, kind, encoding, definitions.get(kind, ""))
-        for name, kind, encoding, key in _read_texts(database, "topics", fields)
+        for name, kind, encoding, key in _read_texts(database, "topics", *fields)
     }
 
 
-def _read_texts(
-    database: apsw.Connection, table: str, columns: Sequence[str]
-) -> Iterator[tuple[str, ...]]:
+def _read_texts(database: apsw.Connection, table: str, *columns: str) -> Iterator[tuple[str, ...]]:
     """Give some columns of a table as text, also where it is not UTF-8."""
     blobs = ", ".join(f"CAST(ifnull({column}, '') AS BLOB)" for column in columns)
     for row in database.execute(f"SELECT {blobs} FROM {table}"):

@@ -169,14 +169,8 @@ class Pattern(NamedTuple):
         increments = take("time_increment")
         increments[~np.isfinite(increments)] = 0  # it says nothing, and the scan is none the worse
         pose = None if self.scan.pose is None else stack_planar(*map(take, POSE_NAMES))
-        return ScanBatch.like(
-            self.scan,
-            stamp_ns=stamp_ns,
-            record_ns=record_ns,
-            ranges=words.ranges,
-            time_increment=increments,
-            pose=pose,
-        )
+        times = {"stamp_ns": stamp_ns, "record_ns": record_ns, "time_increment": increments}
+        return ScanBatch.like(self.scan, **times, ranges=words.ranges, pose=pose)
 
 
 class TextLog(Log, ABC):
@@ -264,9 +258,7 @@ class TextLog(Log, ABC):
         runs = [run for rows in lines.values() for run in self._parse_kind(block, rows, faults)]
         if len(runs) == 1:
             return [runs[0][1]]
-        scans = {
-            row: scan for rows, run in runs for row, scan in zip(rows, run.split(), strict=True)
-        }
+        scans = {row: one for rows, run in runs for row, one in zip(rows, run.split(), strict=True)}
         return [scans[row] for row in sorted(scans)]
 
     def _parse_kind(

@@ -11,11 +11,11 @@ import re
 import sys
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, TypeGuard, get_type_hints
+from typing import Annotated, Any, Self, TypeAlias, TypeGuard, cast, get_type_hints
 
 Count: TypeAlias = Annotated[int, ("minimum", 0)]
 Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
@@ -40,6 +40,11 @@ class Printed:
         """Give it as values that JSON has; a number that is not finite becomes None."""
         plain: dict[str, Any] = to_plain(self)
         return plain
+
+    def add_notes(self, notes: Iterable[str]) -> Self:
+        """Give a result that has notes with others before them."""
+        result: Any = self
+        return cast(Self, replace(result, notes=(*notes, *result.notes)))
 
 
 def list_printed(kind: Any) -> dict[str, str]:

@@ -5,7 +5,6 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -17,7 +16,7 @@ from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import NO_LOSS, NOT_ASKED_FOR, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SensorModel, find_decision, parse_model, shorten_model
-from occmap.types import Int64, Trajectory, Update
+from occmap.types import Int64, Paths, Trajectory, Update
 from occmap.writers import MapMode, WriteOptions, find_writer, list_idle
 
 LEAST_AGREEMENT = 0.55
@@ -252,7 +251,7 @@ LEAST_OBSTACLES = 0.001
 
 
 def list_notes(
-    options: BuildOptions, outputs: Sequence[Path], tally: Tally, facts: MapFacts
+    options: BuildOptions, outputs: Paths, tally: Tally, facts: MapFacts
 ) -> Iterator[str]:
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
@@ -276,7 +275,7 @@ def list_notes(
     yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
 
 
-def list_shared_stamps(outputs: Sequence[Path], ways: Sequence[Trajectory]) -> Iterator[str]:
+def list_shared_stamps(outputs: Paths, ways: Sequence[Trajectory]) -> Iterator[str]:
     """Say which trajectories that are written do not build the same map again."""
     written = ", ".join(str(path) for path in outputs if find_writer(path).needs_journey)
     for way in ways if written else ():
@@ -327,22 +326,20 @@ def doubt_agreement(agreement: float | None, hits: str = "the hits") -> str:
     return f"only {agreement:.0%} of {hits} lie in occupied cells" if is_low else ""
 
 
-def list_disagreement(
-    facts: MapFacts, min_passes: int | None, looked_up: bool = True
-) -> Iterator[str]:
+def list_disagreement(facts: MapFacts, min_passes: int | None, timed: bool = True) -> Iterator[str]:
     """Say that the scans of a map contradict each other; without walls none of its hits agrees.
 
-    Times matter only where poses were `looked_up` by them.
+    Times matter only where poses were looked up by them, and so are `timed`.
     """
     if facts.agreement and (doubt := doubt_agreement(facts.agreement)):
-        timed = "`occmap tune` or " if looked_up else ""
+        tune = "`occmap tune` or " if timed else ""
         less = ", or `min_passes` takes away what they hit" if min_passes else ""
-        fix = f"see `occmap check`, try {timed}another trajectory by `poses=FILE`"
+        fix = f"see `occmap check`, try {tune}another trajectory by `poses=FILE`"
         yield f"{doubt}: the poses do not fit the scans{less}; {fix}"
 
 
 def list_unwritten(
-    facts: MapFacts, model: SensorModel, writing: WriteOptions, outputs: Sequence[Path]
+    facts: MapFacts, model: SensorModel, writing: WriteOptions, outputs: Paths
 ) -> Iterator[str]:
     """Say what loaders do not find: edits, walls by the YAML's own thresholds, and the unknown."""
     yield from list_vain_edits(facts, writing)

@@ -4,9 +4,8 @@ nav2 and others ignore the yaw of the origin in a map's YAML, so a building that
 map stays so. Turning the poses before anything is traced costs no cell its sharpness.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.scans.mounts import open_drive
 from occmap.sensor import interpret
-from occmap.types import Float64, Kind, Rays
+from occmap.types import Float64, Kind, Paths, Rays
 
 GAPS = (2, 4, 8, 16, 32)
 """A chord of a wall joins the ends of two beams that are this many beams apart."""
@@ -35,7 +34,7 @@ DIGITS = 2
 """The angle is rounded to hundredths of a degree, so that a map can be made again by hand."""
 
 
-def sample_rays(paths: Sequence[Path], options: BuildOptions) -> Iterator[Rays]:
+def sample_rays(paths: Paths, options: BuildOptions) -> Iterator[Rays]:
     """Interpret some scans of all logs, spread evenly over each.
 
     Raises
@@ -48,7 +47,7 @@ def sample_rays(paths: Sequence[Path], options: BuildOptions) -> Iterator[Rays]:
             yield interpret(part, options.returns)[0]
 
 
-def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOptions, list[str]]:
+def settle_align(paths: Paths, options: BuildOptions) -> tuple[BuildOptions, list[str]]:
     """Find the turn of a map where the user leaves it to the scans; a note says if they show none.
 
     Raises

@@ -5,7 +5,7 @@ This module is loaded for clouds alone: it brings numba, which takes longer than
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -23,7 +23,6 @@ from occmap.posing import NO_DRIFT, Drift, measure_drift
 from occmap.posing.chain import place_logs, tilt
 from occmap.report import Note, join_names
 from occmap.scans import encode_cells
-from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
@@ -59,9 +58,7 @@ class BuildGround(NamedTuple):
     """With the angles by which its floor is laid flat"""
 
 
-def find_ground(
-    drives: Collection[Drive], options: BuildOptions, known: Ground | None
-) -> BuildGround:
+def find_ground(drives: list[Drive], options: BuildOptions, known: Ground | None) -> BuildGround:
     """Find the ground below all drives, in a pass of its own.
 
     Parameters
@@ -76,7 +73,7 @@ def find_ground(
     MapError
         There is none, or it lies elsewhere than what is known.
     """
-    clouds = sum(count_scans(drive.log, options.selection.topics) for drive in drives)
+    clouds = sum(drive.scans for drive in drives)
 
     def count(options: BuildOptions, ground: Ground | None) -> Counted:
         renewed = (drive.renew(options) for drive in drives)
@@ -266,13 +263,13 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
         On which they are laid first; None: they stay as they are.
     """
     log, posing = str(drive.log.path), drive.options.posing
-    share = count_scans(drive.log, drive.options.selection.topics) / max(clouds, 1)
+    share = drive.scans / max(clouds, 1)
     views = max(math.ceil(counting.UPRIGHT_CLOUDS * share), counting.LOG_CLOUDS)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
             counter = Counter(clouds, log, ground, views)
-            selector = Selector(drive.options.selection, posing.stamps, counter.wants)
+            selector = Selector(drive.options, counter.wants)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
                 for posed in drive.read(Tally(), selector):
                     threads.give(posed)

@@ -25,7 +25,7 @@ from occmap.posing.sources import gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
 from occmap.report import STDIN_FOLDER, Note, count, is_damage, join_names
 from occmap.sensor.models import CountingModel, RadialModel
-from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
+from occmap.types import Cloud, Paths, PoseBatch, PoseSample, Scan, Update
 
 
 def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
@@ -205,9 +205,7 @@ Inputs: TypeAlias = tuple[list[Path], list[str]]
 """The recordings that paths stand for, and notes on what folders and patterns were found to hold"""
 
 
-def find_inputs(
-    paths: Sequence[Path], options: ReaderOptions, others: Sequence[Path] = ()
-) -> Inputs:
+def find_inputs(paths: Paths, options: ReaderOptions, others: Paths = ()) -> Inputs:
     """Replace folders and patterns by the recordings in them, in the order of their time.
 
     What holds no recording stays as it is: opening it says what is wrong. What occmap wrote into a
@@ -302,7 +300,7 @@ def find_start(path: Path, options: ReaderOptions) -> tuple[int, str]:
     return start, str(path)
 
 
-def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
+def describe_found(path: Path, logs: Paths, others: int) -> str:
     """Say which recordings a folder holds, and how many other files."""
     names = join_names(log.name for log in logs)
     passed = f"; {count(others, 'other file')} passed over" if others else ""
@@ -311,7 +309,7 @@ def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
 
 
 @contextmanager
-def keep_stdin(paths: Sequence[Path]) -> Iterator[list[Path]]:
+def keep_stdin(paths: Paths) -> Iterator[list[Path]]:
     """Save what comes on stdin to a file while the block runs, where a path is `-`.
 
     Raises

@@ -51,7 +51,7 @@ FEW_SCANS = 200
 little; those are read again at once. Of 280 pieces of logs none was suspected wrongly."""
 
 
-class Posing(NamedTuple):
+class PosePlan(NamedTuple):
     """How the scans of a log are posed, with the options given or with those that would help."""
 
     poser: Poser
@@ -74,15 +74,15 @@ def open_drive(log: Log, options: BuildOptions) -> Drive:
         No scan frame has a chain of transforms to a map frame.
     """
     first = look_ahead(log, options)
-    if options.posing.poses is None and all(scan.pose is not None for scan in first):
+    if options.posing.takes_stated(*first):
         return Drive(log, Poser(gather([], options.posing), options.posing), options)
-    posing = prepare(log, first, options)
-    if posing.faults and posing.poser.fixed is None:
-        raise next(iter(posing.faults.values())).placed(log.path)
-    return Drive(log, posing.poser, options)
+    plan = prepare(log, first, options)
+    if plan.faults and plan.poser.fixed is None:
+        raise next(iter(plan.faults.values())).placed(log.path)
+    return Drive(log, plan.poser, options)
 
 
-def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> Posing:
+def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> PosePlan:
     """Find the way to the frames of the first scans; where the mount is missing, guess it.
 
     Raises
@@ -91,13 +91,13 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
         The trajectory that the user chose cannot be used.
     """
     poser = read_poser(log, options.posing, [scan.topic for scan in first])
-    frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
+    frames = {scan.frame for scan in first if not options.posing.takes_stated(scan)}
     faults = poser.find_chains(frames)
     if not faults or len(frames) > 1 or options.posing.sensor_pose is not None:
-        return Posing(poser, faults)
+        return PosePlan(poser, faults)
     at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
     if at_body.find_chains(frames):  # more than the mount is missing
-        return Posing(poser, faults)
+        return PosePlan(poser, faults)
     # Read the scans as if the sensor were the body, and find the mount that suits them best.
     guess = guess_place(at_body, Drive(log, at_body, options).sample(), options)
     mount, why = guess or (IDENTITY, "")
@@ -105,7 +105,7 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
     if guess and isinstance(fault, MountError):
         faults = {frame: fault.named(format_mount(mount), why)}
     posing = replace(options.posing, sensor_pose=mount)
-    return Posing(Poser(at_body.sources, posing), faults, mount, is_guess=guess is None)
+    return PosePlan(Poser(at_body.sources, posing), faults, mount, is_guess=guess is None)
 
 
 Guess: TypeAlias = tuple[Pose, str]

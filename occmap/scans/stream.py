@@ -15,7 +15,7 @@ from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, Role, read_recorded
 from occmap.readers.depth import clean_cloud
 from occmap.scans import TopicSample
-from occmap.scans.logs import choose_topics
+from occmap.scans.logs import choose_topics, count_scans
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import drop_own_points, read_limits
 from occmap.sensor.bands import RangeLimits
@@ -44,10 +44,10 @@ class Selector:
     """
 
     def __init__(
-        self, selection: Selection, stamps: Stamps, wants: Wants = lambda _stamp_ns, _points: True
+        self, options: BuildOptions, wants: Wants = lambda _stamp_ns, _points: True
     ) -> None:
-        self._selection, self._stamps, self._wants = selection, stamps, wants
-        self._wants_all = replace(selection, topics=()) == Selection()
+        self._selection, self._stamps = options.selection, options.posing.stamps
+        self._wants, self._wants_all = wants, replace(options.selection, topics=()) == Selection()
         self.first_ns: int | None = None
         """The stamp of the log's first scan; None before it is seen"""
         self._wanted: Counter[str] = Counter()
@@ -225,6 +225,8 @@ class Drive:
         self.log, self.poser, self.options = log, poser, options
         poser.drift = (options.posing.height_drift or {}).get(str(log.path))
         self.topics = choose_topics(log, options.selection.topics)
+        self.scans = count_scans(log, self.topics)
+        """How many the log has on these topics"""
         self.limits = RangeLimits(options.returns)
         self.is_settled = False
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
@@ -280,7 +282,7 @@ class Drive:
         """
         self.poser.start_over()
         stamps = self.options.posing.stamps
-        selector = selector or Selector(self.options.selection, stamps)
+        selector = selector or Selector(self.options)
         chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
         chosen = (clean_cloud(some) if isinstance(some, Cloud) else some for some in chosen)
         limited = map(self.limits.apply, stack(map(self.poser.settle_moments, chosen), stamps))

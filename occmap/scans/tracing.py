@@ -2,9 +2,8 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -27,7 +26,7 @@ from occmap.scans.stream import Drive, write_doubts
 from occmap.scans.tally import LeftOut, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.threads import Threads
-from occmap.types import Bool, Float64, Int64, PosedScans, Rays, Update
+from occmap.types import Bool, Float64, Int64, Paths, PosedScans, Rays, Update
 
 HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
@@ -171,7 +170,7 @@ class Reading:
         A log cannot be read.
     """
 
-    def __init__(self, paths: Sequence[Path], options: BuildOptions, progress: Progress) -> None:
+    def __init__(self, paths: Paths, options: BuildOptions, progress: Progress) -> None:
         self.options, names = options, list(map(str, paths))
         self.tally = Tally(lambda scans: progress(scans, self.total), logs=names)
         with self.tally.time("open"):
@@ -225,13 +224,11 @@ class Observed(NamedTuple):
     """With the update that suits what the logs hold"""
 
 
-Observe: TypeAlias = Callable[[Sequence[Path], BuildOptions, Keep, Progress], Observed]
+Observe: TypeAlias = Callable[[Paths, BuildOptions, Keep, Progress], Observed]
 """Traces all usable scans of logs, as `observe` does: here, or by many workers"""
 
 
-def observe(
-    paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
-) -> Observed:
+def observe(paths: Paths, options: BuildOptions, keep: Keep, progress: Progress) -> Observed:
     """Trace all usable scans of logs.
 
     Raises
@@ -255,8 +252,7 @@ def observe(
     slices: list[Slices] = []
     begin = partial(make_engine, options, keep)
     for drive in tally.time_each("poses", drives):
-        scans = count_scans(drive.log, drive.topics) * len(paths)
-        of_log = Tally(tally.tell, keep.choose_shown(scans))
+        of_log = Tally(tally.tell, keep.choose_shown(drive.scans * len(paths)))
         engine = trace_drive(drive, begin, of_log)
         of_log.points.update(engine.points)
         tally.add(of_log)

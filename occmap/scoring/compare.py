@@ -8,7 +8,6 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import thread_time
 from typing import Self
 
@@ -27,7 +26,7 @@ from occmap.scans.tally import ScanCounts, Tally
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import SMALL, Gain, Score, Trial, has_hits, hold_out, score_map
 from occmap.sensor.models import SensorModel, parse_model, shorten_model
-from occmap.types import BEAM_UPDATES, Kind, Rays, Update
+from occmap.types import BEAM_UPDATES, Kind, Paths, Rays, Update
 
 FEW_SCANS = 10
 """Fewer scans do not show how far the next one may lie from them."""
@@ -232,7 +231,7 @@ class VariantComparison(Scored):
 
 
 def compare(
-    paths: Sequence[Path],
+    paths: Paths,
     variants: Sequence[Variant],
     options: BuildOptions,
     progress: Progress = ignore_progress,
@@ -299,15 +298,13 @@ def choose_best(
     )
 
 
-def compose_variant(
-    logs: Sequence[str], options: BuildOptions, variant: ScoredVariant
-) -> tuple[str, ...]:
+def compose_variant(logs: list[str], options: BuildOptions, way: ScoredVariant) -> tuple[str, ...]:
     """Compose the command line that builds the map of a variant from all scans."""
-    if variant.update is not Update.POLYGON:
+    if way.update is not Update.POLYGON:
         options = replace(options, border_gap=BuildOptions.border_gap)
-    if variant.update is Update.BEAM:  # which knows no surfaces
+    if way.update is Update.BEAM:  # which knows no surfaces
         options = replace(options, jump=BuildOptions.jump)
-    return compose_build(logs, options, [("model", variant.model)], variant.update.value)
+    return compose_build(logs, options, [("model", way.model)], way.update.value)
 
 
 def refuse_unscored(logs: Sequence[str], held_out: int, are_told: bool) -> None:

@@ -282,9 +282,8 @@ def weigh(written: ClassMap, seen: Sequence[Rays], jobs: int) -> tuple[Trial, fl
         next((each.observed for each in found if abs(each.predicted - chance) < 0.01), chance)
         for chance in guess
     )
-    chances = occupied, free
-    if occupied <= free:  # a map of somewhere else; its walls are still those that it names
-        chances = guess
+    # In a map of somewhere else beams may stop in free cells: its walls are still those it names.
+    chances = (occupied, free) if occupied > free else guess
     return score_map(to_probabilities(written, *chances), seen, jobs), occupied, free
 
 

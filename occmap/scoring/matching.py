@@ -5,10 +5,9 @@ evidence there. Users say `fit` for it.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -30,9 +29,9 @@ from occmap.store.merging import (
     add_move,
     move_evidence,
     move_ground,
-    refuse_different,
+    refuse_unlike,
 )
-from occmap.types import Bool, Float32, Float64, Pose, Update
+from occmap.types import Bool, Float32, Float64, Paths, Pose, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for, and what is farther from a wall counts as this far"""
@@ -239,10 +238,7 @@ def _are_apart(place: Transform, other: Transform) -> bool:
 
 
 def fit_logs(
-    paths: Sequence[Path],
-    options: BuildOptions,
-    past: Evidence,
-    observe: Callable[[BuildOptions], Observed],
+    paths: Paths, options: BuildOptions, past: Evidence, observe: Callable[[BuildOptions], Observed]
 ) -> tuple[BuildOptions, str]:
     """Give the options by which the walls of logs lie on those of evidence, and say so.
 
@@ -329,7 +325,7 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     OccmapError
         The two cannot be combined, or it is not sure where it lies.
     """
-    refuse_different(past.manifest, evidence)
+    refuse_unlike(past.manifest, evidence)
     found = match(evidence, past, read_model(past), MAX_CELLS)
     moved = move_evidence(evidence, found.transform, found.lift)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}

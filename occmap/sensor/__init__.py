@@ -130,10 +130,8 @@ def read_limits(scan: Scan | ScanBatch) -> tuple[float, float]:
     """
     if scan.range_min >= scan.range_max > 0:
         return 0.0, math.inf
-    return (
-        scan.range_min if scan.range_min >= 0 else 0.0,
-        scan.range_max if scan.range_max > 0 else math.inf,
-    )
+    low = scan.range_min if scan.range_min >= 0 else 0.0
+    return low, scan.range_max if scan.range_max > 0 else math.inf
 
 
 def interpret(posed: PosedScans, options: ReturnOptions) -> tuple[Rays, ReturnCounts]:

@@ -285,9 +285,7 @@ def list_parameters(model: Any) -> list[str]:
 
 def describe_model(model: Any) -> str:
     """Write a model as `parse_model` reads it, without values that change nothing."""
-    kept = (
-        f"{name}={value}" for name, value in asdict(model).items() if NEUTRAL.get(name) != value
-    )
+    kept = (f"{key}={value}" for key, value in asdict(model).items() if NEUTRAL.get(key) != value)
     return f"{model.name}:{','.join(kept)}"
 
 

@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -155,9 +155,7 @@ def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
         raise MapError("its attributes were altered", where=path, fix="build it again")
 
 
-def unpack_layers(
-    data: UInt8, layout: Iterable[Mapping[str, Any]], builds: int
-) -> tuple[Slices, ...]:
+def unpack_layers(data: UInt8, layout: list[dict[str, Any]], builds: int) -> tuple[Slices, ...]:
     """Take the slices of a block apart again: one for each of so many builds."""
     arrays: dict[str, Any] = {}
     start = 0

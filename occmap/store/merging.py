@@ -6,8 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
 from itertools import product
-from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,14 +14,14 @@ from occmap.cells import Evidence, Ground, Key, Manifest, Slices, Tile, stack_ti
 from occmap.choices import format_place, to_rpy
 from occmap.errors import MapError, name_log
 from occmap.evidence import UNEVEN_SHARE, Described, list_misfit, read_model, refuse_other, to_grid
-from occmap.evidence.manifest import MEANING, leave_out, write_value
+from occmap.evidence.manifest import MEANING, BuildRecord, leave_out, write_value
 from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.report import count
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
-from occmap.types import COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64, Pose
+from occmap.types import COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64, Paths, Pose
 
 
 def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
@@ -52,7 +51,7 @@ Lay: TypeAlias = Callable[[Evidence, Evidence], Evidence]
 """Moves evidence onto other evidence"""
 
 
-def combine(added: Sequence[Path], taken: Sequence[Path] = (), lay: Lay | None = None) -> Blocks:
+def combine(added: Paths, taken: Paths = (), lay: Lay | None = None) -> Blocks:
     """Add saved evidence and take some away, block by block where any of it is in a store.
 
     Parameters
@@ -129,7 +128,7 @@ def add(evidence: Evidence, other: Evidence, model: SensorModel | None) -> Evide
         Their resolutions, updates or kinds differ, or their grounds.
     """
     mine, its = evidence.manifest, other.manifest
-    refuse_different(mine, other)
+    refuse_unlike(mine, other)
     ground, notes = join_grounds(evidence.ground, other), [*evidence.notes, *other.notes]
     if model is not None:
         found = list_misfit(to_grid(evidence), other.tiles, model, "the evidence before it")
@@ -151,7 +150,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     MapError
         As `add`, or `other` holds something that is not there.
     """
-    refuse_different(evidence.manifest, other)
+    refuse_unlike(evidence.manifest, other)
     less = {key: -tile.astype(np.int64) for key, tile in other.tiles.items()}
     grid = to_grid(evidence).like(tiles.drop_empty(tiles.add_tiles(evidence.tiles, less)))
     refuse_negative(grid, evidence, other)
@@ -196,7 +195,7 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         raise MapError(found, where=other.where, fix=fix)
 
 
-def refuse_different(manifest: Manifest, other: Described) -> None:
+def refuse_unlike(manifest: Manifest, other: Described) -> None:
     """Refuse evidence that cannot be combined with other evidence.
 
     Raises
@@ -268,7 +267,7 @@ def move_evidence(evidence: Evidence, by: Transform, lift: float = 0.0) -> Evide
     is smeared, and numbers stay whole; a cell here and there is taken twice, or not at all.
     """
     manifest = evidence.manifest
-    builds = tuple(_record_move(build, by, manifest.align, lift) for build in manifest.builds)
+    builds = tuple(_note_move(build, by, manifest.align, lift) for build in manifest.builds)
     origins = list_origins(evidence.tiles, by, manifest.resolution)
     moved = _move_tiles(evidence.tiles, origins)
     slices = tuple(_move_slices(each, origins) for each in evidence.slices)
@@ -341,9 +340,7 @@ def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     return tiles.unite(parts)
 
 
-def _record_move(
-    build: dict[str, Any], by: Transform, align: float | None, lift: float
-) -> dict[str, Any]:
+def _note_move(build: BuildRecord, by: Transform, align: float | None, lift: float) -> BuildRecord:
     """Say of a build that its cells were moved, and with which `transform` it would lie there."""
     options = build["options"]
     given = options["posing"].get("transform")

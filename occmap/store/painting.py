@@ -28,7 +28,7 @@ from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
 from occmap.store import Blocks, identify, read_all, read_part
 from occmap.store.layout import SIDE, Block, list_blocks
-from occmap.types import Int64, UInt8
+from occmap.types import Int64, Paths, UInt8
 from occmap.writers import Product, WriteOptions
 from occmap.writers.npz import refuse_damage
 
@@ -265,7 +265,7 @@ def survey_blocks(made: BlockMap) -> MapFacts:
     return MapFacts(made.resolution, made.extent, made.shape, cells, *evidence.sum_up(found))
 
 
-def refuse_unsaved(outputs: Sequence[Path], overview: int | None) -> None:
+def refuse_unsaved(outputs: Paths, overview: int | None) -> None:
     """Refuse, before evidence is read, outputs of what it does not hold.
 
     Raises
@@ -285,7 +285,7 @@ def refuse_unsaved(outputs: Sequence[Path], overview: int | None) -> None:
             raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
 
 
-def publish(saved: Blocks, options: RenderOptions, outputs: Sequence[Path]) -> Report:
+def publish(saved: Blocks, options: RenderOptions, outputs: Paths) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
 
     Where no output needs the whole map, it is never made: evidence is written block by block.
@@ -306,7 +306,7 @@ def publish(saved: Blocks, options: RenderOptions, outputs: Sequence[Path]) -> R
     return report
 
 
-def render_saved(saved: Blocks, options: RenderOptions, outputs: Sequence[Path] = ()) -> Product:
+def render_saved(saved: Blocks, options: RenderOptions, outputs: Paths = ()) -> Product:
     """Render evidence, and sum up its builds, for outputs that are to be written.
 
     Raises
@@ -323,17 +323,13 @@ def render_saved(saved: Blocks, options: RenderOptions, outputs: Sequence[Path] 
 
 
 def paint_saved(
-    saved: Blocks,
-    model: SensorModel,
-    options: RenderOptions,
-    is_whole: bool,
-    logs: Sequence[str] = (),
+    saved: Blocks, model: SensorModel, options: RenderOptions, whole: bool, logs: Sequence[str] = ()
 ) -> tuple[Any, MapFacts]:
     """Paint a map, or the part of it that is wanted, measure it, and say what it is of.
 
     Parameters
     ----------
-    is_whole
+    whole
         Else a large map is a `BlockMap`, and never there as a whole.
     logs
         Names of those that the manifest does not have.
@@ -349,7 +345,7 @@ def paint_saved(
         shown = options.writing.edit(read_overview(saved, options.overview, options))
     else:
         made = replace(open_map(saved, model, options), logs=logs)
-        if not is_whole and is_large(saved):
+        if not whole and is_large(saved):
             facts = survey_blocks(made)
             return made, facts._replace(lost=[*notes, *facts.lost])
         shown, lost = made.paint_all()
@@ -428,7 +424,7 @@ def refuse_lost(store: Blocks, side: int, box: CellBox, classes: UInt8) -> None:
 
 
 def summarise(
-    manifest: Manifest, facts: MapFacts, options: RenderOptions, outputs: Sequence[Path]
+    manifest: Manifest, facts: MapFacts, options: RenderOptions, outputs: Paths
 ) -> Report:
     """Sum up all builds of evidence, and the map that was made of it by the manifest's model."""
     beams = [build["scans"]["beams"] for build in manifest.builds]

@@ -71,16 +71,9 @@ def make_codec() -> Any:
 
 def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **others: Any) -> Any:
     """Add an array of squares, each a whole shard, with so many cells along the side."""
-    return group.create_array(
-        name,
-        shape=shape,
-        chunks=(min(CHUNK, side),) * 2,
-        shards=(side,) * 2,
-        compressors=make_codec(),
-        fill_value=0,
-        dimension_names=("y", "x"),
-        **others,
-    )
+    cut = {"chunks": (min(CHUNK, side),) * 2, "shards": (side,) * 2}
+    kept = {"compressors": make_codec(), "fill_value": 0, "dimension_names": ("y", "x")}
+    return group.create_array(name, shape=shape, **cut, **kept, **others)
 
 
 def add_level(classes: Any, side: int, shape: tuple[int, ...], shard: int) -> Any:
@@ -244,9 +237,7 @@ class ZarrWriter(Writer):
         """
         with make_folder(path) as folder:
             create_store(folder, source.manifest, source.blocks)
-            records = [
-                write_block(folder, block, source.read_block(block)) for block in source.blocks
-            ]
+            records = [write_block(folder, each, source.read_block(each)) for each in source.blocks]
             for block in source.blocks:
                 paint_block(folder, block)
             finish_store(folder, source.manifest, records, source.ground)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tuning import search
 from occmap.tuning.search import Correction, Finding, KeptLog, Knob, Scorer, Verdict
-from occmap.types import Float64
+from occmap.types import Float64, Paths
 
 TRAVEL_M = 0.5
 """A robot that stays nearer than this to its start does not show the yaw of a mount: the whole map
@@ -95,9 +94,7 @@ class Tuning(Improvement, Scored):
     """Those of the notes that are why nothing is recommended"""
 
 
-def tune(
-    paths: Sequence[Path], options: BuildOptions, progress: Progress = ignore_progress
-) -> Tuning:
+def tune(paths: Paths, options: BuildOptions, progress: Progress = ignore_progress) -> Tuning:
     """Search for a time offset and for a mount, by the share of held-out beams.
 
     What is found must gain more than noise, and in both halves of the held-out scans. Several logs
@@ -168,7 +165,7 @@ def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
     return {"time": time, "mount": mount, "deskew": deskew, "together": together}, unsearched
 
 
-def list_other_cures(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
+def list_other_cures(paths: Paths, options: BuildOptions) -> Iterator[str]:
     """Say what mends faults of logs that a correction could at best make up for.
 
     The scans may fit the other of their two times better, poses may jump, or a laser be turned.

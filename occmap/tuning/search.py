@@ -61,8 +61,7 @@ class KeptLog:
     @property
     def stated(self) -> bool:
         """Whether all poses stand beside the scans, so that their times do not matter."""
-        chosen = self.poser.options.poses is not None
-        return not chosen and all(batch.pose is not None for batch in self.batches)
+        return self.poser.options.takes_stated(*self.batches)
 
     def pose(self, options: PosingOptions) -> list[PosedScans]:
         """Pose the scans with other options; those that then have no pose are left out."""
@@ -397,9 +396,7 @@ def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) ->
     return assess(scorer, start, best, tried)
 
 
-def assess(
-    scorer: Scorer, start: Correction, best: Correction, tried: Sequence[Correction]
-) -> Finding:
+def assess(scorer: Scorer, start: Correction, best: Correction, tried: list[Correction]) -> Finding:
     """Judge the best of the corrections that were tried to find one better than `start`.
 
     It must gain certainly by all held-out scans, and each half of them must show it. The halves

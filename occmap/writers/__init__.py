@@ -21,7 +21,7 @@ from occmap.cells import Decision, Evidence, OccupancyMap
 from occmap.choices import GLOBE, option
 from occmap.errors import OutputError, UsageError, require
 from occmap.plugins import list_plugins, load_plugin, need_extra
-from occmap.types import Journey
+from occmap.types import Journey, Paths
 from occmap.writers.atomic import check_parent, check_target, follow_links
 from occmap.writers.edits import Shape, apply_edits, read_edits
 
@@ -191,9 +191,7 @@ class Writer:
             with need_extra(self.needs[0], f"a {path.suffix} needs {module}", where=path):
                 import_module(module)
 
-    def write(
-        self, path: Path, grid: OccupancyMap, options: WriteOptions
-    ) -> tuple[Path, ...] | None:
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> Paths | None:
         """Write a map; return the files written, or nothing where these are its `targets`.
 
         Raises
@@ -203,9 +201,7 @@ class Writer:
         """
         raise NotImplementedError
 
-    def write_product(
-        self, path: Path, product: Product, options: WriteOptions
-    ) -> tuple[Path, ...] | None:
+    def write_product(self, path: Path, product: Product, options: WriteOptions) -> Paths | None:
         """Write whatever the format holds of all that there is; return as `write` does.
 
         Raises
@@ -251,7 +247,7 @@ def find_writer(path: Path) -> Writer:
     return cast(Writer, kind())
 
 
-def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path], options: WriteOptions) -> None:
+def check_outputs(outputs: Paths, inputs: Paths, options: WriteOptions) -> None:
     """Find out before the work starts what could not be written after it.
 
     Raises
@@ -264,9 +260,7 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path], options: Writ
     inputs = [*inputs, *([options.edits] if options.edits else [])]
     for path, writer in writers:
         writer.check(path, options)
-    targets = [
-        (target, writer) for path, writer in writers for target in to_paths(writer.targets(path))
-    ]
+    targets = [(file, its) for path, its in writers for file in to_paths(its.targets(path))]
     files = [follow_links(target) for target, _ in targets]
     for (target, writer), file in zip(targets, files, strict=True):
         if not writer.is_folder:
@@ -283,7 +277,7 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path], options: Writ
 
 
 def check_picture(
-    path: Path | None, inputs: Sequence[Path], suffixes: Sequence[str] = (".png", ".html")
+    path: Path | None, inputs: Paths, suffixes: Sequence[str] = (".png", ".html")
 ) -> None:
     """Find out before the work starts whether a picture, if there is one, cannot be written.
 
@@ -300,7 +294,7 @@ def check_picture(
     check_outputs([path], inputs, WriteOptions())
 
 
-def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
+def refuse_input(target: Path, inputs: Paths) -> None:
     """Refuse to write over what the same command reads.
 
     Raises
@@ -319,17 +313,17 @@ def to_paths(files: Iterable[Path | str] | str) -> list[Path]:
     return [Path(files)] if isinstance(files, str | Path) else [*map(Path, files)]
 
 
-def want_evidence(outputs: Sequence[Path]) -> bool:
+def want_evidence(outputs: Paths) -> bool:
     """Whether any output is of what was observed, or shows when it was."""
     return any(find_writer(path).needs_evidence for path in outputs)
 
 
-def want_whole(outputs: Sequence[Path]) -> bool:
+def want_whole(outputs: Paths) -> bool:
     """Whether any output is made of a map that is there as a whole; without any, a program is."""
     return not outputs or not all(find_writer(path).in_parts for path in outputs)
 
 
-def want_journey(outputs: Sequence[Path]) -> bool:
+def want_journey(outputs: Paths) -> bool:
     """Whether any output shows where the robot went."""
     return any(find_writer(path).shows_journey for path in outputs)
 
@@ -339,7 +333,7 @@ USED_BY = {"mode": (".pgm", ".png", ".mcap"), "shade": (".png",), "georeference"
 """Options that are for some formats alone"""
 
 
-def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
+def list_idle(outputs: Paths, options: WriteOptions) -> Iterator[str]:
     """Say which options do nothing, since no output is of the format that they are for."""
     suffixes = {path.suffix.lower() for path in outputs}
     for name, formats in USED_BY.items():
@@ -355,7 +349,7 @@ def protect(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:
+def write_outputs(outputs: Paths, product: Product, options: WriteOptions) -> list[str]:
     """Write a map, or its evidence, in the formats of these suffixes; return the files written.
 
     Raises

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import OutputError
+from occmap.types import Paths
 
 log = logging.getLogger(__name__)
 
@@ -187,7 +188,7 @@ def sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def hold_alone(path: Path | None, outputs: Sequence[Path]) -> Iterator[None]:
+def hold_alone(path: Path | None, outputs: Paths) -> Iterator[None]:
     """Hold a file that is added to and replaced, if it is an output; another occmap waits for it.
 
     Where the file is not there yet, its folder is held. The lock ends with the process. Where the

@@ -85,11 +85,9 @@ class KeepoutWriter(PgmWriter):
             One of them cannot be written; then neither is left behind.
         """
         shapes = (shape for shape in options.shapes if shape.change is Change.FORBIDDEN)
-        forbidden = cover(shapes, grid.box, grid.resolution)
-        log_odds = np.where(forbidden, np.float32(1), np.float32(-1))
-        mask = replace(
-            grid, log_odds=log_odds, observed=np.ones_like(forbidden), decision=EVEN_ODDS
-        )
+        kept_out = cover(shapes, grid.box, grid.resolution)
+        log_odds = np.where(kept_out, np.float32(1), np.float32(-1))
+        mask = replace(grid, log_odds=log_odds, observed=np.ones_like(kept_out), decision=EVEN_ODDS)
         super().write(path, mask, WriteOptions())
 
 

@@ -46,11 +46,7 @@ class PngWriter(Writer):
         free, occupied = options.decide(grid.decision)
         negate = int(options.shade is Shade.LIGHT_OCCUPIED)
         # Named as in a map's YAML, they say how the pixels are decided.
-        texts: dict[str, object] = {
-            "occupied_thresh": occupied,
-            "free_thresh": free,
-            "negate": negate,
-        }
+        texts: dict[str, Any] = {"occupied_thresh": occupied, "free_thresh": free, "negate": negate}
         texts |= list_captions(grid.about)
         # Not by pillow: it tries five filters on each row, which takes twice as long, and large
         # maps, which are runs of one grey, get smaller with none of them.

@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.posing.chain import Chain, Status, find_holds, make_chain
+from occmap.posing import POSED, DropReason
+from occmap.posing.chain import Chain, find_holds, make_chain
 from occmap.posing.frames import Edge, Source
 from occmap.posing.tracks import TrackBuilder, angle_between, rotate_by, slerp, to_quaternions
 from occmap.types import Float64, Pose
 from tests.posing.scenes import SECOND, matrix_of, turned, yaw_of
 
-BEFORE, POSED, AFTER = Status.BEFORE, Status.POSED, Status.AFTER
-GAP, TURN = Status.GAP, Status.TURN
+BEFORE, AFTER = DropReason.BEFORE.code, DropReason.AFTER.code
+GAP, TURN = DropReason.GAP.code, DropReason.TURN.code
 Keyed = Sequence[tuple[float, Pose]]
 """Seconds and poses."""
 
@@ -38,9 +39,9 @@ def chain_of(*edges: Edge, max_gap_s: float | None = None) -> Chain:
     return make_chain(edges, max_gap_s)
 
 
-def look_up(chain: Chain, *seconds: float) -> tuple[Float64, Float64, list[Status]]:
+def look_up(chain: Chain, *seconds: float) -> tuple[Float64, Float64, list[int]]:
     found = chain.at(np.array([round(t * SECOND) for t in seconds], np.int64))
-    return found.position, found.rotation, [Status(code) for code in found.status]
+    return found.position, found.rotation, found.status.tolist()
 
 
 DRIVE = edge("odom", "base", [(0, turned(0)), (10, turned(90, x=10))])

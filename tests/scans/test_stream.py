@@ -76,7 +76,7 @@ def test_batches_come_in_the_order_of_the_log() -> None:
 )
 def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: LeftOut) -> None:
     run = replace(RUN, **change)
-    selector = Selector(Selection(), Stamps.HEADER)
+    selector = Selector(BuildOptions())
 
     assert list(selector.select([run])) == []
     assert (selector.read, selector.left_out) == (5, {reason: 5})
@@ -84,7 +84,7 @@ def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: Le
 
 def test_lasers_that_take_turns_are_thinned_each_by_itself() -> None:
     scans = [scan._replace(topic=topic) for scan in RUN.split() for topic in ("/a", "/b")]
-    chosen = Selector(Selection(stride=2), Stamps.HEADER).select(scans)
+    chosen = Selector(BuildOptions(selection=Selection(stride=2))).select(scans)
     assert [some.topic for some in chosen] == ["/a", "/b"] * 3
 
 
@@ -110,7 +110,8 @@ def test_runs_are_selected_as_single_scans_are(
         items += [run] if whole else run.split()
     selection = Selection((), start_s, end_s, stride)
     clock = Stamps.RECORD if record else Stamps.HEADER
-    some, single = (Selector(selection, clock) for _ in range(2))
+    options = BuildOptions(selection=selection, posing=PosingOptions(stamps=clock))
+    some, single = (Selector(options) for _ in range(2))
     batches = stack(some.select(items), clock)
     of_singles = stack(single.select(flatten(items)), clock)
 
