@@ -9,21 +9,9 @@ import pytest
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions, draw, ground
 from occmap.clouds.counting import add_tables, make_table
-from occmap.clouds.kernels import growth
+from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import PASSED, STOOD, Found
-from occmap.clouds.kernels.heights import (
-    ALL_AT_ONCE,
-    BIN_MM,
-    BINS,
-    ROOM,
-    SOME,
-    Cloud,
-    Histogram,
-    Pieces,
-    count_heights,
-    list_peaks,
-    pack,
-)
+from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, SOME, Pieces, list_peaks, pack
 from occmap.types import NO_GROUND, Float64, Int32, UInt8
 
 
@@ -58,13 +46,12 @@ def test_clouds_at_exact_steps_are_drawn_as_others_are(step_ms: int) -> None:
     assert np.abs(shares - np.linspace(0.05, 0.95, 19)).max() < 0.05
 
 
-def count_points(points: int) -> Histogram:
+def count_points(points: int) -> heights.Histogram:
     """Count so many points of one place."""
     table, cloud = make_table(4 * SOME), np.tile(np.array([1, 0, -1], np.float32), points)
-    posed = Cloud(cloud, ALL_AT_ONCE, np.eye(4)[None, :3], np.zeros(3))
-    assert (
-        count_heights(posed, table, 0, np.empty((3, SOME)), np.empty((2, SOME), np.int64)) >= points
-    )
+    posed = heights.Cloud(cloud, heights.ALL_AT_ONCE, np.eye(4)[None, :3], np.zeros(3))
+    room = np.empty((3, SOME)), np.empty((2, SOME), np.int64)
+    assert heights.count_heights(posed, table, 0, *room) >= points
     return table
 
 
