@@ -60,13 +60,6 @@ def test_links_of_the_page_lead_to_the_tag(tmp_path: Path) -> None:
     assert page.read_text() == f"{image} {docs} [site](https://x.org) [here](#here)\n"
 
 
-def test_the_release_is_published_by_trust_alone() -> None:
-    jobs = load(HIDDEN / "workflows" / "release.yml")["jobs"]
-    assert jobs["publish"]["permissions"] == {"id-token": "write"}
-    text = (HIDDEN / "workflows" / "release.yml").read_text()
-    assert "password" not in text.replace("there is no password", "")
-
-
 def act(at: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
     """Do what the action does with some inputs; others are at their defaults."""
     action = load(ACTION / "action.yml")

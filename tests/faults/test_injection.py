@@ -54,15 +54,3 @@ def hold_against(scene: Scene, kind: str, number: int, fault: str) -> None:
         assert len(errors) == 1, about
         assert errors[0].startswith("error: "), about
         assert "fault in occmap" not in errors[0], about
-
-
-def test_the_scene_sees_what_is_torn_left_over_or_gone(tmp_path: Path) -> None:
-    (tmp_path / "m.pgm").write_bytes(b"half")
-    (tmp_path / ".occmap-1.tmp").write_bytes(b"")
-    scene = Scene(tmp_path, [], {"a.csv": b"log", "m.pgm": b"old"}, {"m.pgm": b"whole"})
-    wrong = [".occmap-1.tmp is left over", "a.csv is gone", "m.pgm is torn"]
-    assert sorted(scene.list_wrong()) == wrong
-    assert sorted(scene.list_wrong(".occmap-")) == wrong[1:]
-    scene.reset()
-    assert list(scene.list_wrong()) == []
-    assert not scene.is_done()

@@ -6,12 +6,12 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from occmap import build_map, merge
+from occmap import build_map
 from occmap.difference.maps import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
@@ -100,29 +100,23 @@ def test_a_part_of_a_map_is_that_of_the_whole(
     assert in_parts.json["map"] == found["map"]
 
 
-@pytest.mark.parametrize(
-    ("span", "scans"),
-    [
-        ({"since": "2023-11-14T22:13:39"}, {"start_s": 19.0}),
-        ({"until": 1700000018.9}, {"end_s": 19.0}),
-        ({"since": 1700000019, "until": "2023-11-14T23:14:00+01:00"},
-         {"start_s": 19.0, "end_s": 43.0}),  # and the slice of 3 s that begins then
-    ],
-)  # fmt: skip
+SPANS = [  # as scans that lie in whole slices of 3 s
+    ("--since 2023-11-14T22:13:39", {"start_s": 19.0}),
+    ("--since 1700000019 --until 2023-11-14T23:14:00+01:00", {"start_s": 19.0, "end_s": 43.0}),
+]
+
+
+@pytest.mark.parametrize(("span", "scans"), SPANS)
 def test_what_was_seen_in_a_span_of_time_is_shown_as_the_whole_shows_it(
-    built: Path, tmp_path: Path, span: dict[str, Any], scans: dict[str, float]
+    built: Path, tmp_path: Path, span: str, scans: dict[str, float]
 ) -> None:
-    how, saved = {"model": "counting:spread=0"}, built / "whole.npz"
-    whole, shown = merge(saved, **how), merge(saved, **how, **span)
-    part = build_map(DRIVE, update="surface", resolution=FINE, **how, **scans)
-    assert (shown.origin, shown.observed.tolist()) == (part.origin, part.observed.tolist())
-    col, row = np.rint((np.array(shown.origin) - whole.origin) / FINE).astype(int)
-    (rows, cols), seen = shown.observed.shape, shown.observed
-    there = whole.probability[row : row + rows, col : col + cols]
-    assert np.array_equal(shown.probability[seen], there[seen])
-    typed = " ".join(f"--{name} {value}" for name, value in span.items())
-    run_both(built, tmp_path, f"render IN/whole.in -o OUT/m.pgm -o OUT/m.tif {typed}")
-    assert_same_files(tmp_path, "m.pgm", "m.tif")
+    part = build_map(DRIVE, model="counting:spread=0", resolution=FINE, **scans)
+    whole, box = tmp_path / "whole.pgm", ",".join(map(str, part.extent))
+    occmap(f"render {built}/whole.npz -o {whole} --spread 0 --extent {box}")
+    run_both(built, tmp_path, f"render IN/whole.in -o OUT/m.tif -o OUT/m.pgm --spread 0 {span}")
+    assert_same_files(tmp_path, "m.tif", "m.pgm")
+    shown, expected = (np.asarray(Image.open(each)) for each in (tmp_path / "npz-m.pgm", whole))
+    assert np.array_equal(shown, np.where(part.observed[::-1], expected, 205))
 
 
 def test_other_formats_of_a_store(built: Path, here: Path) -> None:
