@@ -172,7 +172,8 @@ class CloudEngine(Engine):
             box = sheet.reach(cloud, self._band.farthest)
             if not sheet.lay_out(box):
                 self._empty(sheet)
-                sheet.clear(max(MANY_TILES, box.cells))
+                # With room to go on, or the next cloud begins anew, too.
+                sheet.clear(max(MANY_TILES, box.cells * 3 // 2))
                 sheet.lay_out(box)
             sheet.observe(cloud, self._band)
         with self._lock:
