@@ -253,11 +253,11 @@ def test_halves_over_one_ground_and_in_small_sheets_add_up_to_the_whole(
 
     monkeypatch.setattr(engine, "MANY_TILES", 1)
     monkeypatch.setattr(engine, "MOST_CLOUDS", 1)
-    begun, clear = list[int](), engine.Sheet.clear
-    monkeypatch.setattr(engine.Sheet, "clear", lambda *it: (begun.append(it[1]), clear(*it)))
+    begun, clear = iter(range(6)), engine.Sheet.clear
+    monkeypatch.setattr(engine.Sheet, "clear", lambda *it: (next(begun), clear(*it)))
     halves = [count(observe(some, ground)) for some in (posed[:3], posed[3:])]
     np.testing.assert_array_equal(sum(halves), whole)
-    assert len(begun) == 5  # whichever begins anew has room to go on
+    assert next(begun) == 5  # whichever begins anew has room to go on
 
 
 def test_the_ground_is_measured_to_a_centimetre() -> None:
