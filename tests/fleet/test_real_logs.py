@@ -21,7 +21,6 @@ WITH_POSES = [
 """All but one that has none; one of them twice"""
 MOUNT = ("--static-tf", "base_link,laser,0,0,0,0,0,3.14159")
 """Of the one log that does not state it"""
-THINNED = ("--stride", "3")
 CUT_SHORT = ["ros1/test_turtlebot.bag", "carmen/intel-corrected.log.gz"]
 
 ALONE = "does not fit the logs before it"
@@ -47,7 +46,7 @@ def test_files_and_text_are_those_of_one_process(
     done, files = [], []
     for flags in (("--jobs", "1"), fleet):
         output = tmp_path / "map.npz"
-        done.append(occmap("build", *logs, "-o", output, *MOUNT, *THINNED, *flags))
+        done.append(occmap("build", *logs, "-o", output, *MOUNT, "--stride", "3", *flags))
         assert done[-1].code == 0, done[-1].err
         files.append(output.read_bytes())
     assert files[0] == files[1]
