@@ -220,7 +220,7 @@ def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high(
 ) -> None:
     found, points = np.array([[0, 100, 20, 80], [6, 9, 3, 1]], np.int32)
     peaks = growth.Peaks(lay({650: 0, 651: 2}, 0), lay({650: 2, 651: 2}, 0), found, points)
-    was, base = Found(lay({650: first}), *np.full((2, 4096), passed)), lay({})
+    was, base = Found(lay({650: first}), lay({}, 0), np.full(4096, passed, np.uint8)), lay({})
 
     growth.smooth_ground(BLOCKS, peaks, was, lay({650: 0, 651: level}), base)
 
@@ -280,7 +280,7 @@ def test_ground_goes_on_over_a_gap_as_it_rises_before_it(rise: int, goes_on: boo
     level = {at: rise * at for at in range(64)}
     first, many = np.arange(64 * 64, dtype=np.int32), lay(dict.fromkeys(range(33, 37), 1), 0)
     peaks = growth.Peaks(first, many, lay(level), first + 1)
-    found = Found(lay({at: level[at] for at in range(21)}), *np.zeros((2, 64 * 64), np.int32))
+    found = Found(lay({at: level[at] for at in range(21)}), lay({}, 0), np.zeros(4096, np.uint8))
     queue = np.empty((2, 64 * 64), np.int64)
 
     growth.grow_ground(BLOCKS, peaks, found, 16, 9, queue)
@@ -292,10 +292,10 @@ def test_ground_goes_on_over_a_gap_as_it_rises_before_it(rise: int, goes_on: boo
 def test_levels_that_were_ground_are_kept_where_a_peak_still_shows_them() -> None:
     first, many = np.array([[0, 1, 3], [1, 2, 1]], np.int32)
     height, weight = np.array([[100, 148, 300, 500], [5, 7, 9, 4]], np.int32)
-    none = NO_GROUND
-    found = Found(np.array([20, none, none], np.int32), *np.zeros((2, 3), np.int32))
+    before, now = np.array([[100, 150, 150], [20, none := NO_GROUND, none]], np.int32)
+    found = Found(now, np.zeros(3, np.int32), np.zeros(3, np.uint8))
 
-    growth.keep_levels(growth.Peaks(first, many, height, weight), np.array([100, 150, 150]), found)
+    growth.keep_levels(growth.Peaks(first, many, height, weight), before, found)
 
     assert found.height.tolist() == [20, 148, none]
     assert found.weight.tolist() == [0, 7, 0]

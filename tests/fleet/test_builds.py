@@ -59,7 +59,7 @@ def hold_equal(expected: Made, options: BuildOptions, fleet: Fleet, folder: Path
     assert not fleet.scratch.exists()
 
 
-PLAIN = BuildOptions(jobs=1)
+PLAIN = BuildOptions(jobs=1, resolution=0.2)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_clouds_of_several_logs_are_traced_over_one_ground(
     address: str, tmp_path: Path, corrected: str
 ) -> None:
     """By threads, too: as their poses are, where these lean, and where they drift."""
-    logs, options = [HALL] * 2, BuildOptions(jobs=1)
+    logs, options = [HALL] * 2, BuildOptions(jobs=1, resolution=0.1)
     if corrected == "level":
         poses = write_leaning(tmp_path / "leaning.tum", turn(4, -6, 0))
         options = replace(options, posing=PosingOptions(poses=str(poses)))

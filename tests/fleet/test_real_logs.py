@@ -46,7 +46,7 @@ def test_files_and_text_are_those_of_one_process(
     done, files = [], []
     for flags in (("--jobs", "1"), fleet):
         output = tmp_path / "map.npz"
-        done.append(occmap("build", *logs, "-o", output, *MOUNT, *flags))
+        done.append(occmap("build", *logs, "-o", output, *MOUNT, "--stride", "3", *flags))
         assert done[-1].code == 0, done[-1].err
         files.append(output.read_bytes())
     assert files[0] == files[1]

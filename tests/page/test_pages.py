@@ -14,7 +14,7 @@ from occmap.writers.edits import Change, read_edits
 from tests.page.browser import Shown, open_browser, wait_until
 
 DRIVE = Path("sample_logs/drive.mcap")
-RESOLUTION = 0.1
+RESOLUTION = 0.2
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_nothing_is_complained_of_and_nothing_asked_of_the_network(drive: Drive)
 def test_in_a_narrow_window_a_metre_is_as_long_in_y_and_the_plot_has_the_shape_of_the_map(
     browser: Chrome, tmp_path: Path
 ) -> None:
-    api.build_map(DRIVE, resolution=0.2, outputs=tmp_path / "m.html")
+    api.build_map(DRIVE, resolution=0.2, stride=20, outputs=tmp_path / "m.html")
     page = Shown(browser, tmp_path / "m.html")
     size = browser.get_window_size()
     browser.set_window_size(600, 1000)
@@ -169,7 +169,7 @@ def test_in_a_narrow_window_a_metre_is_as_long_in_y_and_the_plot_has_the_shape_o
 def test_on_a_phone_nothing_sticks_out_and_a_tap_says_what_is_there(
     extent: Box | None, browser: Chrome, tmp_path: Path
 ) -> None:
-    api.build_map(DRIVE, resolution=0.2, extent=extent, outputs=tmp_path / "m.html")
+    api.build_map(DRIVE, resolution=0.2, stride=20, extent=extent, outputs=tmp_path / "m.html")
     phone = {"width": 390, "height": 800, "deviceScaleFactor": 2, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
     browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
@@ -193,7 +193,7 @@ def test_maps_of_a_comparison_are_linked_and_its_table_sorts(
     browser: Chrome, tmp_path: Path
 ) -> None:
     path = tmp_path / "c.html"
-    made = api.compare(DRIVE, models=["simple", "counting"], resolution=0.2, picture=path)
+    made = api.compare(DRIVE, models=["simple", "counting"], resolution=0.5, picture=path)
     page = Shown(browser, path)
     ranges = page.run(
         "const d = Bokeh.documents[0], n = document.querySelectorAll('figure').length;"
@@ -214,8 +214,8 @@ def test_maps_of_a_comparison_are_linked_and_its_table_sorts(
 
 def test_a_difference_has_before_and_after_by_a_switch(browser: Chrome, tmp_path: Path) -> None:
     maps = tmp_path / "a.pgm", tmp_path / "b.pgm"
-    api.build_map(DRIVE, resolution=0.1, end_s=40, outputs=maps[0])
-    api.build_map(DRIVE, resolution=0.1, outputs=maps[1])
+    api.build_map(DRIVE, resolution=0.2, stride=3, end_s=40, outputs=maps[0])
+    api.build_map(DRIVE, resolution=0.2, stride=3, outputs=maps[1])
     found = api.diff(*maps, picture=tmp_path / "d.html")
     page = Shown(browser, tmp_path / "d.html")
     page.calibrate()

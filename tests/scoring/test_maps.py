@@ -50,7 +50,7 @@ def ask(
 
 def load_built(path: Path, **posing: Any) -> ClassMap:
     """A map of the drive."""
-    build([DRIVE], BuildOptions(posing=PosingOptions(**posing)), [path])
+    build([DRIVE], BuildOptions(resolution=0.1, posing=PosingOptions(**posing)), [path])
     return load_map(path, WriteOptions())
 
 
