@@ -139,7 +139,7 @@ class Shown:
     def click_at(self, x: float, y: float, times: int = 1) -> None:
         """Click at a place of the map (m), too late to be a double-click with the click before."""
         right, down = self.to_px(x, y)
-        actions = ActionChains(self.browser, duration=0).pause(0.4)
+        actions = ActionChains(self.browser, duration=0).pause(0.6)
         mouse = actions.w3c_actions.pointer_action
         mouse.move_to_location(round(right), round(down))  # type: ignore[no-untyped-call]
         for _ in range(times):
