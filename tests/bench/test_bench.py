@@ -16,7 +16,6 @@ from occmap.grid.tiles import GridSpec
 from occmap.types import Kind, Rays, Update
 from tests.bench import peers, people, quality
 from tests.bench.engine import check_equal
-from tests.bench.measuring import Times
 from tests.bench.plans import cast_scans
 from tests.bench.processes import run
 from tests.bench.quality import DEFAULT
@@ -49,12 +48,6 @@ def test_the_yardsticks_count_as_occmap_does(
     workload: Workload, yardsticks: Mapping[str, Trace]
 ) -> None:
     check_equal(workload, yardsticks)
-
-
-def test_ratios_are_taken_within_rounds() -> None:
-    times = Times({"mine": [2.0, 3.0, 40.0], "base": [1.0, 2.0, 10.0]})
-    assert times.median("mine") == 3.0
-    assert times.ratio("mine", "base") == 2.0
 
 
 def test_a_process_has_its_own_peak_memory() -> None:

@@ -10,15 +10,8 @@ from occmap.posing.chain import Transforms
 from occmap.scans.levelling import measure_slope
 from occmap.scans.mounts import Mount
 from occmap.types import IDENTITY, Float64
-from tests.clouds.simulation import (
-    LEVEL,
-    SENSOR_M,
-    change_points,
-    drive_turning,
-    find_ground,
-    read_points,
-    turn,
-)
+from tests.clouds import simulation
+from tests.clouds.simulation import change_points, drive_turning, find_ground, read_points, turn
 
 
 @pytest.mark.parametrize(
@@ -32,7 +25,7 @@ def test_a_mount_is_found_however_a_sensor_sits(angles: tuple[float, float, floa
 
     assert seat is not None
     assert seat.has_yaw
-    assert seat.height == pytest.approx(SENSOR_M, abs=0.02)
+    assert seat.height == pytest.approx(simulation.SENSOR_M, abs=0.02)
     found = Transforms.fixed(seat.mount).rotation[0]
     between = np.degrees(np.arccos((np.trace(found.T @ mount) - 1) / 2))
     assert between < 1.5
@@ -47,13 +40,15 @@ def test_where_a_robot_never_turns_no_wall_tells_the_yaw() -> None:
 
 def test_walls_alone_are_no_floor() -> None:
     clouds = [(posed, read_points(posed)) for posed in drive_turning()]
-    walls = [change_points(posed, all_[all_[:, 2] > 0.1 - SENSOR_M]) for posed, all_ in clouds]
+    walls = [
+        change_points(posed, all_[all_[:, 2] > 0.1 - simulation.SENSOR_M]) for posed, all_ in clouds
+    ]
     assert find_seat(walls) is None
     assert find_seat([]) is None
 
 
 @pytest.mark.parametrize("is_ceiling", [True, False], ids=["ceiling", "wall"])
-@pytest.mark.parametrize("given", [LEVEL, turn(0, 20, 0)], ids=["right", "wrong"])
+@pytest.mark.parametrize("given", [simulation.LEVEL, turn(0, 20, 0)], ids=["right", "wrong"])
 def test_another_plane_along_a_straight_way_is_no_floor(is_ceiling: bool, given: Float64) -> None:
     """It is a metre above the sensor, or beside it, and holds more points than the floor."""
     along, across = (axis.ravel() for axis in np.mgrid[-4:4.01:0.1, -0.9:0.91:0.05])

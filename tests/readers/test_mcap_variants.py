@@ -16,14 +16,8 @@ from mcap.opcode import Opcode
 
 from occmap.errors import LogError
 from occmap.readers import Log, open_log
-from tests.readers.mcap_variants import (
-    ALONE,
-    MESSAGES,
-    PACK,
-    list_records,
-    list_variants,
-    write_variant,
-)
+from tests.readers import mcap_variants
+from tests.readers.mcap_variants import ALONE, PACK, list_records, list_variants, write_variant
 from tests.readers.ros import RANGES, ROS2, drive
 
 SCANS = 30
@@ -114,7 +108,7 @@ def test_a_chunk_under_another_opcode_is_told_of(
         data = write(has, compression)
         data[list_records(data, Opcode.CHUNK)[4][0]] = opcode
 
-        assert len(read_damaged(tmp_path, data)[1]) >= len(STAMPS) - MESSAGES
+        assert len(read_damaged(tmp_path, data)[1]) >= len(STAMPS) - mcap_variants.MESSAGES
 
 
 @pytest.mark.parametrize("compression", ["", "zstd"])

@@ -21,20 +21,13 @@ from occmap.store.merging import Transform, merge, move_evidence, subtract
 from occmap.store.painting import RenderOptions, publish
 from occmap.types import Update
 from occmap.writers.npz import read_evidence
-from tests.evidence.saving import (
-    DRIVE,
-    MIDDLE_S,
-    choose,
-    each_combination,
-    halve,
-    save,
-    write_bytes,
-)
+from tests.evidence import saving
+from tests.evidence.saving import DRIVE, MIDDLE_S, choose, halve, save, write_bytes
 from tests.grid.scans import are_equal, assert_same_slices
 from tests.samples import write_csv
 
 
-@each_combination
+@saving.each_combination
 def test_two_halves_make_the_whole(tmp_path: Path, update: Update, model: str) -> None:
     """A slice of time goes on over the middle, 20 s after the start."""
     options = choose(update, model)
