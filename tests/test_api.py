@@ -71,7 +71,8 @@ def test_an_option_is_given_by_name_as_a_plain_value(
 
 def test_every_option_can_be_given() -> None:
     assert sorted(name for _, name, *_ in EVERY) == sorted(list_options(BuildOptions))
-    assert list_options(RenderOptions).keys() <= {*list_options(BuildOptions), "overview"}
+    more = {"overview", "since", "until"}
+    assert list_options(RenderOptions).keys() <= {*list_options(BuildOptions), *more}
 
 
 def test_values_of_the_classes_are_taken_as_they_are() -> None:

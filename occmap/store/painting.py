@@ -60,7 +60,7 @@ class RenderOptions:
     since: float | None = option(
         None,
         "Show only what was still seen at this time or later: seconds as in the log's stamps, or a "
-        "date such as 2026-11-02T08:00, in UTC. Slices of time (--pass-gap) are not cut. An .npz "
+        "date such as 2026-11-02T08:00, in UTC. Slices of time (`pass_gap_s`) are not cut. An .npz "
         "holds everything in any case.",
         metavar="TIME",
         form=TIME,
