@@ -266,9 +266,9 @@ def keep_seen(part: Evidence, since: float | None, until: float | None) -> Evide
     """
     if since is None and until is None:
         return part
-    gap = part.manifest.pass_gap_s
-    first = -math.inf if since is None else since // gap
-    last = math.inf if until is None else until // gap
+    gap_ns = round(part.manifest.pass_gap_s * 1e9)  # as slices were cut
+    first = -math.inf if since is None else round(since * 1e9) // gap_ns
+    last = math.inf if until is None else round(until * 1e9) // gap_ns
     slices, seen = list[Slices](), dict[Key, Tile]()
     for each in part.slices:
         inside = (first <= each.numbers) & (each.numbers <= last)
