@@ -12,8 +12,17 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap import types
-from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float32, Float64, Int32, Int64, UInt8
+from occmap.types import (
+    BLOCK_BITS,
+    COLUMN_MM,
+    NO_GROUND,
+    Bool,
+    Float32,
+    Float64,
+    Int32,
+    Int64,
+    UInt8,
+)
 
 MOST_OBSERVED = 1 << 53
 """No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand
@@ -419,7 +428,7 @@ class Ground:
         """Put it in its place among more blocks (B, 2), which are in ascending order."""
         at = self.find_blocks(blocks)
         there = (at >= 0)[:, np.newaxis]
-        height = np.where(there, self.height_mm[at], np.int32(types.NO_GROUND))
+        height = np.where(there, self.height_mm[at], np.int32(NO_GROUND))
         return Ground(blocks, height, there & self.measured[at])
 
     def measure_rise(self, other: "Ground") -> Int32:

@@ -179,8 +179,8 @@ IDLE = {
 """Options that do nothing with an update"""
 
 COMMAND_FLAGS = (
-    *("dask", "output", "overview", "scratch", "since", "skip_unreadable", "strict", "truth"),
-    "until",
+    *("dask", "output", "overview", "scratch", "since"),
+    *("skip_unreadable", "strict", "truth", "until"),
 )
 OTHER_FLAGS = {
     **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, *COMMAND_FLAGS)},

@@ -180,9 +180,17 @@ def plan_manifest(options: Any) -> Manifest:
     """Say what evidence a build makes, before it is known what it makes it of."""
     profile = describe_profile(options.model)
     kind = EvidenceKind.LOG_ODDS if profile else EvidenceKind.COUNTS
-    of_cells = options.resolution, options.update.value, kind.value, profile
-    how = options.pass_gap_s, options.hit_offset, describe_model(options.model)
-    return Manifest(*of_cells, *how, builds=(), align=options.posing.align)
+    return Manifest(
+        options.resolution,
+        options.update.value,
+        kind.value,
+        profile,
+        options.pass_gap_s,
+        options.hit_offset,
+        describe_model(options.model),
+        builds=(),
+        align=options.posing.align,
+    )
 
 
 MOST_NAMED = 20
