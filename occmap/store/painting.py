@@ -36,8 +36,6 @@ KEPT_BLOCKS = 18
 """How many blocks are kept that were read last, up to 8 MiB each"""
 LARGE_TILES = 1 << 13
 """A map that spans more tiles, most of them maybe empty, is painted in parts"""
-FULL = 0.25
-"""Of evidence in memory that fills more of it than this, the map takes no more than that does"""
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
@@ -244,10 +242,9 @@ def bound_map(
 
 
 def is_large(saved: Blocks) -> bool:
-    """Whether the map of all evidence would be large, and, if that is in memory, of little."""
+    """Whether the map of all evidence would be large."""
     keys, side = (saved.whole.tiles, 1) if saved.whole else (saved.blocks, SIDE)
-    spanned = CellBox.enclose(keys).cells * side**2 if keys else 0
-    return spanned > LARGE_TILES and not (saved.whole and len(keys) > FULL * spanned)
+    return bool(keys) and CellBox.enclose(keys).cells * side**2 > LARGE_TILES
 
 
 def survey_blocks(made: BlockMap) -> MapFacts:

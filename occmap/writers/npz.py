@@ -44,7 +44,7 @@ import json
 import struct
 import tokenize
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from glob import has_magic
@@ -53,15 +53,27 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, Slices, stack_tiles, sum_tiles, view_tiles
+from occmap.cells import (
+    Evidence,
+    Ground,
+    Key,
+    Manifest,
+    Slices,
+    Tile,
+    stack_tiles,
+    sum_tiles,
+    view_tiles,
+)
 from occmap.errors import MapError
-from occmap.types import Bool, Int64
+from occmap.types import Int64, UInt8
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import open_atomic
 
 FORMAT, VERSION = "occmap evidence", 5
 SIDE = 64
 """Cells along the side of a tile."""
+BATCH = 1024
+"""Tiles are packed so many at a time: all at once, evidence would be in memory twice"""
 MAGIC = b"PK\x03\x04"
 SLICES = ("slice_tiles", "slices", "slice_rows", "slice_parts", "slice_changes")
 """The arrays of `Slices`, in its order"""
@@ -117,16 +129,26 @@ def add_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
 
 def pack_evidence(evidence: Evidence) -> Arrays:
     """Keep the observed cells only, each number as narrow as all of its kind allow."""
-    places, cells = stack_tiles(evidence.tiles)
-    seen: Bool = (cells != 0).any(axis=1)
+    keys = sorted(evidence.tiles)
+    batches = [keys[start : start + BATCH] for start in range(0, len(keys), BATCH)] or [[]]
+    packed = [pack_tiles({key: evidence.tiles[key] for key in batch}) for batch in batches]
+    tiles, observed, first, second = map(np.concatenate, zip(*packed, strict=True))
     return {
-        "tiles": places.astype("<i8"),
-        "observed": np.packbits(seen.reshape(len(seen), SIDE * SIDE), axis=1),
-        "first": narrow(cells[:, 0][seen]),
-        "second": narrow(cells[:, 1][seen]),
+        "tiles": tiles.astype("<i8"),
+        "observed": observed,
+        "first": narrow(first),
+        "second": narrow(second),
         **pack_slices(evidence.slices),
         **pack_ground(evidence.ground),
     }
+
+
+def pack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, UInt8, Any, Any]:
+    """Places of tiles, bits of the cells that were observed, and their two numbers."""
+    places, cells = stack_tiles(tiles)
+    seen = (cells != 0).any(axis=1)
+    bits = np.packbits(seen.reshape(len(seen), SIDE * SIDE), axis=1)
+    return places, bits, narrow(cells[:, 0][seen]), narrow(cells[:, 1][seen])
 
 
 def compute_checksum(head: dict[str, Any], arrays: Arrays) -> str:

@@ -374,7 +374,6 @@ def test_large_maps_in_memory_are_painted_in_parts(
 
     whole = run_all("whole"), build_map(DRIVE)
     monkeypatch.setattr(painting, "LARGE_TILES", 0)
-    monkeypatch.setattr(painting, "FULL", 1.0)
     assert run_all("parts") == whole[0]
     shown = build_map(DRIVE)
     np.testing.assert_array_equal(shown.probability, whole[1].probability)
