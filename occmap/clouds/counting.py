@@ -179,13 +179,14 @@ def list_apart(views: Mapping[Drawn, tuple[View, Float64]]) -> list[Float64]:
 
 def make_table(size: int) -> Histogram:
     """Make an empty table for half as many pieces as its size, which is a power of two."""
-    places, used = np.full((size, 2), heights.EMPTY, np.int64), np.zeros(1, np.int64)
-    return Histogram(places, np.zeros((size // 2, heights.BINS), np.uint16), used)
+    slots, keys = np.full(size, heights.EMPTY, np.int32), np.empty(size // 2, np.int64)
+    counts = np.zeros((size // 2, heights.BINS), np.uint16)
+    return Histogram(slots, keys, counts, np.zeros(1, np.int64))
 
 
 def grow_table(table: Histogram) -> Histogram:
     """Copy a table to one with room for twice as much."""
-    grown = make_table(2 * len(table.places))
+    grown = make_table(2 * len(table.slots))
     heights.add_histogram(table, grown, 0)
     return grown
 
@@ -195,7 +196,7 @@ def add_tables(tables: Iterable[Histogram]) -> Histogram:
     first, *others = [*tables] or [make_table(2)]
     for other in others:
         start = 0
-        while (start := heights.add_histogram(other, first, start)) < len(other.places):
+        while (start := heights.add_histogram(other, first, start)) < other.used[0]:
             first = grow_table(first)
     return first
 

@@ -154,6 +154,8 @@ def grow(
 
     Parameters
     ----------
+    columns
+        Peaks of what is low are written over.
     known
         Ground that stays as it is.
     before
@@ -172,13 +174,12 @@ def grow(
             go_on(columns, found)
         growth.drop_raised(blocks, found, height)
         raised = np.flatnonzero(height != found.height)
-        peaks = lower(columns.peaks, raised, height[raised], found.weight[raised])
-        columns = columns._replace(peaks=peaks)
+        lower(columns.peaks, raised, height[raised], found.weight[raised])
         grown.append(found)
     del grown[1:], found  # which take much memory
     growth.restore_levels(blocks, grown[0], height)
     smooth = np.empty_like(height)
-    growth.smooth_ground(blocks, peaks, grown[0], height, smooth)
+    growth.smooth_ground(blocks, columns.peaks, grown[0], height, smooth)
     keep_known(known, grown[0]._replace(height=smooth))
     return smooth
 
@@ -197,7 +198,7 @@ def fill(blocks: Blocks, height: Int32, rounds: int, peaks: Peaks = NO_PEAKS) ->
 
     They take the mean of these, or a peak near it where there are peaks.
     """
-    found = Found(height, np.zeros_like(height), np.zeros(0, np.uint8))
+    found = Found(height, np.zeros(len(height), np.int32), np.zeros(0, np.uint8))
     growth.grow_ground(blocks, peaks, found, 1, rounds, np.empty((2, len(height)), np.int64))
 
 
@@ -221,10 +222,11 @@ def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOpti
     deep, standing = np.zeros((2, len(height)), np.int32)
     heights.count_apart(columns.pieces, height, (-DEEP_MM, *options.band_mm), deep, standing)
     is_open = ~measured & (height != NO_GROUND) & (standing < FEWEST_POINTS)
-    reached = np.where(~measured & (deep >= FEWEST_POINTS), 0, NO_GROUND).astype(np.int32)
+    reached = np.where(~measured & (deep >= FEWEST_POINTS), np.int32(0), np.int32(NO_GROUND))
+    del deep, standing  # which take much memory
     # A hole goes on as ground does: at a height of 0, to open columns, which share a peak there.
     zero, one = np.zeros(1, np.int32), np.ones(1, np.int32)
-    ways = Peaks(np.zeros_like(height), is_open.astype(np.int32), zero, one)
+    ways = Peaks(np.zeros(len(height), np.int32), is_open.astype(np.int32), zero, one)
     fill(columns.blocks, reached, FILLED, ways)
     return np.asarray(is_open & (reached == 0))
 
@@ -239,7 +241,7 @@ def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
 def find_nothing(columns: Shown) -> Found:
     """Begin to look for the ground of columns."""
     height = np.full_like(columns.peaks.first, NO_GROUND)
-    return Found(height, np.zeros_like(height), np.zeros(len(height), np.uint8))
+    return Found(height, np.zeros(len(height), np.int32), np.zeros(len(height), np.uint8))
 
 
 def look_beside(
@@ -257,13 +259,13 @@ def look_beside(
     return np.repeat(layer.least + np.arange(len(depths)) * BIN_MM + BIN_MM // 2, depths)
 
 
-def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
-    """Let raised columns (N,) show nothing but the ground around them, by its level and weight."""
-    first, many = peaks.first.copy(), peaks.many.copy()
-    first[raised] = np.arange(len(peaks.height), len(peaks.height) + len(raised))
-    many[raised] = 1
-    height = np.concatenate([peaks.height, level])
-    return Peaks(first, many, height, np.concatenate([peaks.weight, weight]))
+def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> None:
+    """Let raised columns (N,) show nothing but the ground around them, by its level and weight.
+
+    That is written over the first of their peaks, since a copy of all would take much memory.
+    """
+    first = peaks.first[raised]
+    peaks.many[raised], peaks.height[first], peaks.weight[first] = 1, level, weight
 
 
 class Plane(NamedTuple):
@@ -285,8 +287,10 @@ class Plane(NamedTuple):
 
 def list_places(blocks: Blocks, at: Int64) -> Int64:
     """(2, N) the rows and columns of some columns, by where they lie in flat arrays."""
-    inside = np.stack([at >> BLOCK_BITS, at]) % BLOCK
-    return np.asarray(blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK + inside)
+    places = blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK
+    places[0] += (at >> BLOCK_BITS) % BLOCK
+    places[1] += at % BLOCK
+    return np.asarray(places)
 
 
 def find_level_floor(blocks: Blocks, height: Int32) -> Plane | None:
@@ -308,15 +312,18 @@ def fit_plane(places: Int64, level_mm: Int32, used: Bool) -> tuple[Plane, Float6
     -------
     The plane, and how high above it each place lies (N,; mm).
     """
-    start, level_mm = places[:, :1], level_mm.astype(np.int64)
+    start = places[:, :1]
     up, right = places - start
-    known = np.stack([np.ones_like(up), right, up], axis=1)
+    known = np.stack([np.ones_like(up), right, up], dtype=np.int32, casting="same_kind")
+    del up, right  # which take much memory
     for _ in range(ROUNDS):
-        some = known[used]
-        plane = np.linalg.lstsq(some.T @ some, some.T @ level_mm[used], rcond=None)[0]
-        off = level_mm - known @ plane
+        # No place is copied, as there may be many.
+        squares = np.einsum("in,jn,n->ij", known, known, used, dtype=np.int64)
+        heights = np.einsum("in,n,n->i", known, level_mm, used, dtype=np.int64)
+        plane = Plane(start, *np.linalg.lstsq(squares, heights, rcond=None)[0].tolist())
+        off = level_mm - plane.find_heights(places)
         used = np.abs(off) < 3 * max(float(np.median(np.abs(off[used]))), LEVEL_MM / 3)
-    return Plane(start, *plane.tolist()), off
+    return plane, off
 
 
 def tell_heights(seats: Sequence[Seat]) -> str:
@@ -359,10 +366,10 @@ def list_upper(seats: Sequence[Seat]) -> Iterator[str]:
 
 def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
-    keys, at = table.places[table.places[:, 0] != heights.EMPTY].T
+    keys = table.keys[: int(table.used[0])]
     order = np.argsort(keys)  # column by column, and in each from the lowest piece
     # Counts stay where they are, as they may be most of what is in memory.
-    keys, is_counted = keys[order], at[order].astype(np.int32)
+    keys, is_counted = keys[order], order.astype(np.int32)
     is_next = np.diff(keys >> heights.PIECE_BITS, prepend=-1) != 0
     places = unpack_columns(keys[is_next], path)
     many = np.zeros(len(places), np.int32)

@@ -239,41 +239,54 @@ def grow_ground(
     Parameters
     ----------
     queue
-        (2, C) to work with: columns that have grown, or may grow next, and their height.
+        (2, C) to work with: columns that grow, or may grow next, and their height.
     """
     height, weight, _ = found
-    has_peaks = peaks.many.size > 0
     # At first any column may have ground beside it, and then those near what has grown.
-    begin, many, grown = 0, 0, 0
+    front, grown = 0, 0
     for at in range(height.size):
-        if height[at] == NO_GROUND and (not has_peaks or peaks.many[at]):
-            queue[0, many] = at
-            many += 1
-    while begin < many and rounds > 0:
-        for i in range(begin, many):
-            at = queue[0, i]
-            level = expect_level(blocks, height, at, reach)
-            queue[1, i], weight[at] = find_peak(peaks, at, level) if has_peaks else (level, 0)
-        front = 0
-        for i in range(begin, many):
-            if queue[1, i] != NO_GROUND:
-                queue[0, front] = queue[0, i]
-                height[queue[0, i]] = queue[1, i]
-                front += 1
-        begin, many = front, front
+        if height[at] == NO_GROUND and may_grow(peaks, at):
+            front = offer(blocks, peaks, found, at, reach, queue, front)
+    while front > 0 and rounds > 0:
+        many = front
+        for i in range(front):
+            height[queue[0, i]] = queue[1, i]
         for i in range(front):
             for up in range(-reach, reach + 1):
                 for right in range(-reach, reach + 1):
                     at = find_near(blocks, queue[0, i], up, right)
                     if at < 0 or height[at] != NO_GROUND or weight[at] == QUEUED:
                         continue
-                    if not has_peaks or peaks.many[at]:
+                    if may_grow(peaks, at):
                         weight[at] = QUEUED
                         queue[0, many] = at
                         many += 1
-        grown += front
+        begin, front = front, 0
+        grown += begin
         rounds -= 1
+        for i in range(begin, many):
+            front = offer(blocks, peaks, found, queue[0, i], reach, queue, front)
     return grown
+
+
+@step
+def may_grow(peaks: Peaks, at: int) -> bool:
+    """Whether a column without ground may have it: it has peaks, or no column has any."""
+    return peaks.many.size == 0 or peaks.many[at] > 0
+
+
+@step
+def offer(
+    blocks: Blocks, peaks: Peaks, found: Found, at: int, reach: int, queue: Int64, front: int
+) -> int:
+    """Queue a column as the one `front`, if it has ground next; return how many then are queued."""
+    level, found.weight[at] = expect_level(blocks, found.height, at, reach), 0
+    if peaks.many.size > 0:
+        level, found.weight[at] = find_peak(peaks, at, level)
+    if level == NO_GROUND:
+        return front
+    queue[0, front], queue[1, front] = at, level
+    return front + 1
 
 
 @kernel

@@ -55,11 +55,12 @@ class Cloud(NamedTuple):
 class Histogram(NamedTuple):
     """Counts of map heights: a hash table of pieces of columns with open addressing."""
 
-    places: Int64
-    """(K, 2) `EMPTY` or a packed row, column and piece, and where it is counted; K is a power of
-    two"""
+    slots: Int32
+    """(K,) `EMPTY`, or where a piece is counted; K is a power of two"""
+    keys: Int64
+    """(K / 2,) packed row, column and piece, as they were met"""
     counts: UInt16
-    """(K / 2, 16) points in each bin, piece by piece as they were met; at most `MOST_POINTS`"""
+    """(K / 2, 16) points in each of their bins, at most `MOST_POINTS`"""
     used: Int64
     """(1,) how many pieces there are"""
 
@@ -87,16 +88,15 @@ def pack(row: int, col: int, piece: int) -> int:
 @step
 def find_piece(table: Histogram, key: int) -> int:
     """Where the piece with a key is counted, maybe from now on."""
-    places, used = table.places, table.used
-    mask = places.size // 2 - 1
+    slots, keys, used = table.slots, table.keys, table.used
     # Folded, since a product's lower bits know nothing of a factor's upper ones: of the row.
-    place = (((key ^ (key >> 31)) * -7046029254386353131) >> 32) & mask
-    while places[place, 0] != EMPTY and places[place, 0] != key:
-        place = (place + 1) & mask
-    if places[place, 0] == EMPTY:
-        places[place, 0], places[place, 1] = key, used[0]
+    place = (((key ^ (key >> 31)) * -7046029254386353131) >> 32) & (slots.size - 1)
+    while slots[place] != EMPTY and keys[slots[place]] != key:
+        place = (place + 1) & (slots.size - 1)
+    if slots[place] == EMPTY:
+        slots[place], keys[used[0]] = used[0], key
         used[0] += 1
-    at: int = places[place, 1]
+    at: int = slots[place]
     return at
 
 
@@ -146,7 +146,7 @@ def count_heights(cloud: Cloud, table: Histogram, start: int, place: Float64, li
         (3, `SOME`) and (2, `SOME`) to work with.
     """
     while 3 * start < cloud.points.size:
-        if table.used[0] + SOME > table.counts.size // BINS:
+        if table.used[0] + SOME > len(table.keys):
             return start
         size = place_points(cloud, start, place)
         many = list_heights(place, size, cloud.origin, listed)
@@ -186,17 +186,16 @@ def list_heights(place: Float64, size: int, origin: Float64, listed: Int64) -> i
 
 @kernel
 def add_histogram(other: Histogram, table: Histogram, start: int) -> int:
-    """Add the pieces of columns from place `start` on; return where the table was full."""
-    for i in range(start, len(other.places)):
-        key, at = other.places[i]
-        if key != EMPTY:
-            if table.used[0] == len(table.counts):
-                return i
-            here = find_piece(table, key)
-            for j in range(BINS):
-                both = int(table.counts[here, j]) + int(other.counts[at, j])
-                table.counts[here, j] = min(both, MOST_POINTS)
-    return len(other.places)
+    """Add the pieces of columns from the one `start` on; return where the table was full."""
+    many: int = other.used[0]
+    for i in range(start, many):
+        if table.used[0] == len(table.keys):
+            return i
+        here = find_piece(table, other.keys[i])
+        for j in range(BINS):
+            both = int(table.counts[here, j]) + int(other.counts[i, j])
+            table.counts[here, j] = min(both, MOST_POINTS)
+    return many
 
 
 @kernel
