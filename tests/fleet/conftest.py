@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import dask
 import pytest
 from distributed import Client, LocalCluster
+from distributed.utils import get_mp_context
 
 PATIENCE_S = 15
 """A worker that a test killed is there again sooner, unless it was killed while it started."""
@@ -16,7 +17,10 @@ def clusters() -> Iterator[list[LocalCluster]]:
     started: list[LocalCluster] = []
     # At times a worker that a test killed is asked for a result: for half a minute, by default.
     timeout, profile = "distributed.comm.timeouts.connect", "distributed.worker.profile.enabled"
-    with dask.config.set({timeout: "5s", profile: False}):  # to profile takes time
+    # To profile takes time, and so does what a worker imports where it is not forked after that.
+    method = "distributed.worker.multiprocessing-method"
+    with dask.config.set({timeout: "5s", profile: False, method: "forkserver"}):
+        get_mp_context().set_forkserver_preload(["distributed", "occmap.fleet.tasks"])
         yield started
     for cluster in started:
         cluster.close()
