@@ -63,5 +63,5 @@ $(STAMP): pyproject.toml
 	@echo "Setting up .venv (once)"
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[dev]"
-	@$(BIN)/python -m compileall -q -j 0 -x '/tests/' .venv/lib occmap
+	@$(BIN)/python -m compileall -q -j 0 -x '/(tests|devtools|mypyc?)/' .venv/lib occmap
 	@touch $(STAMP)

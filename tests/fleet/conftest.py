@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import dask
 import pytest
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, utils
 
 PATIENCE_S = 15
 """A worker that a test killed is there again sooner, unless it was killed while it started."""
@@ -16,7 +16,10 @@ def clusters() -> Iterator[list[LocalCluster]]:
     started: list[LocalCluster] = []
     # At times a worker that a test killed is asked for a result: for half a minute, by default.
     timeout, profile = "distributed.comm.timeouts.connect", "distributed.worker.profile.enabled"
-    with dask.config.set({timeout: "5s", profile: False}):  # to profile takes time
+    # To profile takes time, and so does what a worker imports where it is not forked after that.
+    method = "distributed.worker.multiprocessing-method"
+    with dask.config.set({timeout: "5s", profile: False, method: "forkserver"}):
+        utils.get_mp_context().set_forkserver_preload(["distributed", "occmap.fleet.tasks"])
         yield started
     for cluster in started:
         cluster.close()
@@ -30,8 +33,7 @@ def address(clusters: list[LocalCluster]) -> str:
     if not clusters:
         # A task may kill one worker, not three: each takes seconds to start anew.
         with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
-            made = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0")
-        clusters.append(made)
+            clusters.append(LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0"))
     return str(clusters[-1].scheduler_address)
 
 
