@@ -72,7 +72,12 @@ class Counter:
     """Counts heights of points in columns; any number of threads may call `add`."""
 
     def __init__(
-        self, clouds: int, log: str = "", ground: Ground | None = None, views: int = UPRIGHT_CLOUDS
+        self,
+        clouds: int,
+        log: str = "",
+        ground: Ground | None = None,
+        views: int = UPRIGHT_CLOUDS,
+        min_range: float = 0.0,
     ) -> None:
         """Make one for a build of so many clouds, those of a log, that are laid on some ground.
 
@@ -80,8 +85,10 @@ class Counter:
         ----------
         views
             How many of them show if walls stand upright.
+        min_range
+            Points nearer than this, on the map, show no ground (m).
         """
-        self._log = log
+        self._log, self._nearest = log, float(min_range)
         # Where the map is laid flat already, no walls are asked for.
         self._most_views = 0 if ground else views
         self._floor = ground and lay_columns(ground)
@@ -102,11 +109,13 @@ class Counter:
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(FIRST_SIZE)
         sensor = self._log, posed.batch.topic, posed.batch.frame if posed.origin is None else ""
-        place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
+        room = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
-            while (start := heights.count_heights(laid, table, start, place, listed)) < points:
+            while (
+                start := heights.count_heights(laid, table, start, self._nearest, room)
+            ) < points:
                 table = grow_table(table)
             self._see(sensor, stamp_ns, cloud)
         with self._lock:
@@ -135,10 +144,13 @@ class Counter:
         return np.array(max(ways, key=len, default=[]), np.int64).reshape(-1, 4)
 
 
-def count_clouds(clouds: Iterable[PosedScans], ground: Ground | None = None) -> Counted:
-    """Count all clouds of some batches, laid on some ground."""
+def count_clouds(
+    clouds: Iterable[PosedScans], ground: Ground | None = None, min_range: float = 0.0
+) -> Counted:
+    """Count all clouds of some batches, laid on some ground, without points that are nearer (m)."""
     some = list(clouds)
-    counter = Counter(sum(each.batch.scans for each in some), ground=ground)
+    clouds_in_all = sum(each.batch.scans for each in some)
+    counter = Counter(clouds_in_all, ground=ground, min_range=min_range)
     for each in some:
         counter.add(each)
     return counter.count()

@@ -28,6 +28,8 @@ FEWEST_SEEDS, AROUND = 100, 80
 What lies near it may be tables: the ground is what lies low in so many columns around."""
 LOWEST_SHARE, APART_MM = 0.25, 300
 """Such a share of these shows the ground, or another level, so far above or below"""
+HIDDEN_SHARE = 0.1
+"""Such a share shows the ground where a roof of the robot, of many points, hides it elsewhere"""
 AS_HIGH_MM = 50
 """Sensors whose heights above the ground differ by no more count as one."""
 KNOWN_POINTS = 1000
@@ -50,6 +52,7 @@ GIVE_HEIGHT = (
     "see in `occmap check` if the mount is wrong, else give `sensor_height=M`, or a plane: "
     "`ground=flat` `sensor_height=M`"
 )
+ITSELF = "the robot itself, which `min_range=M` leaves out, as far as it reaches around the sensor"
 LITTLE = 0.25
 """In a smaller share of the columns hardly any floor was seen: corridors have 0.7, streets 0.36"""
 LITTLE_FLOOR = (
@@ -111,7 +114,7 @@ def derive_ground(
         f"{columns.filled:,} columns of 0.15 m"
     )
     notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
-    notes += [*list_storeys(stood), *list_upper(seats)]
+    notes += [*list_storeys(stood), *list_others(seats)]
     return pack_ground(blocks, height, measured), notes
 
 
@@ -144,7 +147,9 @@ class Seat(NamedTuple):
     beside: int
     """So far beside the path the ground is looked for (columns)"""
     upper: int
-    """How high they are above another level, which may be the ground (mm); 0: there is none"""
+    """How high they are above a higher level, which may be the ground (mm); 0: there is none"""
+    lower: int
+    """Likewise above a lower one, where the robot itself may have been taken for the ground"""
 
 
 def grow(
@@ -351,16 +356,21 @@ def list_storeys(stood: Int64) -> Iterator[str]:
         )
 
 
-def list_upper(seats: Sequence[Seat]) -> Iterator[str]:
+def list_others(seats: Sequence[Seat]) -> Iterator[str]:
     """Say if the ground may be another level than the one that was taken."""
     for each in seats:
+        taken = f"the ground is taken to lie {each.height / 1000:.2f} m below the sensor, and what "
         if each.upper:
             yield (
-                f"the ground is taken to lie {each.height / 1000:.2f} m below the sensor, and what "
-                f"is seen {each.upper / 1000:.2f} m below it to stand there, as tables do: if the "
-                "robot drives on that, or the floor mirrors, give "
+                f"{taken}is seen {each.upper / 1000:.2f} m below it to stand there, as tables do: "
+                "if the robot drives on that, or the floor mirrors, give "
                 f"`sensor_height={each.upper / 1000:.2f}`, unless `occmap check` says that the "
-                "mount is wrong"
+                f"mount is wrong; it may also be {ITSELF}"
+            )
+        if each.lower:
+            yield (
+                f"{taken}is seen {each.lower / 1000:.2f} m below it to be mirrored, or a hole: but "
+                f"the first may be {ITSELF}"
             )
 
 
@@ -460,27 +470,29 @@ def measure_seat(
     if np.count_nonzero(under.height != NO_GROUND) < FEWEST_SEEDS:
         beside, share = AROUND, 1 - LOWEST_SHARE
         seen, lean = look_around(columns, path[len(path) // 2], band)
-    given = None if given_m is None else (round(given_m * 1000), 150, 0)
+    given = None if given_m is None else (round(given_m * 1000), 150, 0, 0)
     if given is None and not len(seen):
         return None
-    depth, spread, upper = given or measure_level(seen, share)
+    depth, spread, *others = given or measure_level(seen, share)
     layer = Layer(depth - spread, depth + spread, STRAY, *lean)
-    return Seat(sensors, path, depth, layer, beside, upper)
+    return Seat(sensors, path, depth, layer, beside, *others)
 
 
-def measure_level(seen: Int64, share: float) -> tuple[int, int, int]:
+def measure_level(seen: Int64, share: float) -> tuple[int, int, int, int]:
     """Measure the level that lies as deep as such a share of depths (N,; mm).
 
     Returns
     -------
-    How deep it is, by how much that differs, and how deep another one above it is, or 0.
+    How deep it is, by how much that differs, and how deep others above and below it are, or 0.
     """
     middle = find_quantile(seen, share)
     here, above = seen[np.abs(seen - middle) <= APART_MM], seen[seen < middle - APART_MM]
+    below = seen[seen > middle + APART_MM]
     depth = find_quantile(here, 0.5)
     spread = int(np.clip(4 * find_quantile(np.abs(here - depth), 0.5) + 60, 140, 450))
     upper = find_quantile(above, 0.5) if len(above) >= LOWEST_SHARE * len(seen) else 0
-    return depth, spread, upper
+    lower = find_quantile(below, 0.5) if len(below) >= HIDDEN_SHARE * len(seen) else 0
+    return depth, spread, upper, lower
 
 
 def look_around(

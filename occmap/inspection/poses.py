@@ -455,7 +455,8 @@ def find_own_ground(clouds: Clouds, options: BuildOptions) -> Ground | None:
     from occmap.clouds.ground import derive_ground  # noqa: PLC0415  likewise
 
     with suppress(MapError):
-        return derive_ground(count_clouds(clouds), options.clouds)[0]
+        counted = count_clouds(clouds, min_range=options.returns.min_range)
+        return derive_ground(counted, options.clouds)[0]
     return None
 
 

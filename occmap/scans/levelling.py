@@ -263,12 +263,13 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
         On which they are laid first; None: they stay as they are.
     """
     log, posing = str(drive.log.path), drive.options.posing
+    nearest = drive.options.returns.min_range
     share = drive.scans / max(clouds, 1)
     views = max(math.ceil(counting.UPRIGHT_CLOUDS * share), counting.LOG_CLOUDS)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
-            counter = Counter(clouds, log, ground, views)
+            counter = Counter(clouds, log, ground, views, nearest)
             selector = Selector(drive.options, counter.wants)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
                 for posed in drive.read(Tally(), selector):

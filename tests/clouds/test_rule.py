@@ -7,7 +7,7 @@ import pytest
 
 from occmap.clouds import CloudOptions, engine
 from occmap.clouds.counting import Counter, count_clouds
-from occmap.clouds.ground import derive_ground
+from occmap.clouds.ground import derive_ground, measure_level
 from occmap.clouds.kernels.heights import Cloud
 from occmap.errors import MapError, UsageError
 from occmap.types import Float64, PosedScans
@@ -323,6 +323,16 @@ def test_that_hardly_any_floor_is_seen_is_told(height_m: float | None, notes: in
     told = derive_ground(counted, CloudOptions(sensor_height=height_m))[1]
     assert len(told) == notes
     assert all("hardly any floor" in note for note in told[1:])
+
+
+def test_a_roof_that_is_left_out_is_not_taken_for_the_floor() -> None:
+    roof = np.mgrid[-1:1:160j, -0.7:0.7:120j, -0.25:-0.25:1j].reshape(3, -1).T
+    clouds = [(it, read_points(it)[::4]) for it in drive(Room(), clouds=40)]
+    covered = [change_points(it, np.concatenate([some, roof])) for it, some in clouds]
+    counted = [count_clouds(covered, min_range=near) for near in (0.0, 1.3)]
+    told = [derive_ground(each, CloudOptions())[1][0] for each in counted]
+    assert [note[14:20] for note in told] == ["0.25 m", "0.59 m"]
+    assert measure_level(np.repeat([250, 1800], [80, 20]), 0.5) == (250, 140, 0, 1800)
 
 
 def test_heights_that_leave_no_band_are_refused() -> None:

@@ -137,19 +137,24 @@ def place_points(cloud: Cloud, start: int, place: Float64) -> int:
 
 
 @kernel
-def count_heights(cloud: Cloud, table: Histogram, start: int, place: Float64, listed: Int64) -> int:
+def count_heights(
+    cloud: Cloud, table: Histogram, start: int, nearest: float, room: tuple[Float64, Int64]
+) -> int:
     """Count the heights of the points from `start` on; return where the table was full.
 
     Parameters
     ----------
-    place, listed
+    nearest
+        What lies nearer to the sensor, on the map, is not counted (m): it may be the robot itself.
+    room
         (3, `SOME`) and (2, `SOME`) to work with.
     """
+    place, listed = room
     while 3 * start < cloud.points.size:
         if table.used[0] + SOME > len(table.keys):
             return start
         size = place_points(cloud, start, place)
-        many = list_heights(place, size, cloud.origin, listed)
+        many = list_heights(place, size, cloud.origin, nearest, listed)
         # Loops of their own, so that a processor waits for many places in memory at once.
         for i in range(many):
             listed[0, i] = find_piece(table, listed[0, i])
@@ -167,7 +172,7 @@ def round_mm(metres: float) -> int:
 
 
 @step
-def list_heights(place: Float64, size: int, origin: Float64, listed: Int64) -> int:
+def list_heights(place: Float64, size: int, origin: Float64, nearest: float, listed: Int64) -> int:
     """List the pieces of columns, and the bins of these, in which points lie; return how many."""
     many = 0
     for i in range(size):
@@ -175,7 +180,7 @@ def list_heights(place: Float64, size: int, origin: Float64, listed: Int64) -> i
         away_x, away_y, rise = x - origin[0], y - origin[1], z - origin[2]
         distance = np.sqrt(away_x * away_x + away_y * away_y)
         reach = RISE * distance
-        if distance < FAR_M and -DEEPEST_M - reach <= rise <= reach:
+        if nearest <= distance < FAR_M and -DEEPEST_M - reach <= rise <= reach:
             row, col = round_mm(y) // COLUMN_MM, round_mm(x) // COLUMN_MM
             height = round_mm(z) // BIN_MM
             listed[0, many] = pack(row, col, height >> 4)
