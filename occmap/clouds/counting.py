@@ -3,6 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
+from functools import reduce
 from operator import itemgetter
 from threading import Lock
 from typing import NamedTuple, TypeAlias, TypeVar
@@ -125,8 +126,8 @@ class Counter:
         """Give what was counted."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
         views = {drawn: (view, sample_points(it)) for drawn, (view, it) in self._views.items()}
-        self._idle = [add_tables(self._idle)]
-        return Counted(self._idle[0], paths, views, {})
+        tables, self._idle = self._idle or [make_table(2)], []  # nobody writes to them any more
+        return Counted(reduce(add_table, tables), paths, views, {})
 
     @property
     def way(self) -> Int64:
@@ -146,16 +147,16 @@ def count_clouds(clouds: Iterable[PosedScans], ground: Ground | None = None) -> 
 
 def join_counted(parts: Iterable[Counted]) -> Counted:
     """Add up what was counted of different logs, maybe by several processes."""
-    tables = list[Histogram]()
+    table = make_table(2)
     paths, drifts = dict[Sensor, Int64](), dict[str, Drift]()
     views: dict[Drawn, tuple[View, Float64]] = {}
     for each in parts:
-        tables.append(each.table)
+        table = add_table(table, each.table)
         paths |= each.paths
         drifts |= each.drifts
         for drawn, seen in each.views.items():
             keep_view(views, drawn, seen, UPRIGHT_CLOUDS)
-    return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts)
+    return Counted(table, dict(sorted(paths.items())), views, drifts)
 
 
 def keep_view(
@@ -190,14 +191,12 @@ def grow_table(table: Histogram) -> Histogram:
     return grown
 
 
-def add_tables(tables: Iterable[Histogram]) -> Histogram:
-    """Add tables to the first of them, or to a larger copy of it."""
-    first, *others = [*tables] or [make_table(2)]
-    for other in others:
-        start = 0
-        while (start := heights.add_histogram(other, first, start)) < len(other.places):
-            first = grow_table(first)
-    return first
+def add_table(total: Histogram, other: Histogram) -> Histogram:
+    """Add a table to `total`, which is written to; return that, or a larger copy of it."""
+    start = 0
+    while (start := heights.add_histogram(other, total, start)) < len(other.places):
+        total = grow_table(total)
+    return total
 
 
 def sample_points(cloud: Cloud) -> Float64:

@@ -7,7 +7,7 @@ import pytest
 
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions, draw, ground
-from occmap.clouds.counting import add_tables, make_table
+from occmap.clouds.counting import Counted, join_counted, make_table
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import PASSED, STOOD, Found
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, SOME, Pieces, list_peaks, pack
@@ -56,9 +56,11 @@ def count_points(points: int) -> heights.Histogram:
 
 @pytest.mark.parametrize("points", [(40_000, 20_000, 30_000), (30_000, 40_000), (70_000, 1)])
 def test_counts_end_at_16_bits_whatever_is_added_first(points: tuple[int, ...]) -> None:
-    some = add_tables(map(count_points, points[:-1])).counts.sum()
-    assert some == min(sum(points[:-1]), 65_535)
-    assert add_tables(map(count_points, points)).counts.sum() == 65_535
+    parts = [Counted(count_points(each), {}, {}, {}) for each in points]
+    some, every = join_counted(parts[:-1]), join_counted(parts)
+    assert some.table.counts.sum() == min(sum(points[:-1]), 65_535)
+    assert every.table.counts.sum() == 65_535
+    assert parts[0].table.counts.sum() == min(points[0], 65_535)  # nothing was added to it
 
 
 BLOCKS = growth.index_blocks(np.array([[0, 0]]))
