@@ -277,8 +277,7 @@ def test_a_check_tells_what_is_left_out_or_does_nothing_as_a_build_does(tmp_path
 def test_other_poses_than_a_log_states_are_judged_as_any(tmp_path: Path) -> None:
     log, way = SAMPLE_LOGS / "drive.log", tmp_path / "way.tum"
     build([log], BuildOptions(selection=Selection(stride=5)), [way])
-    posing = PosingOptions(poses=str(way), max_pose_gap_s=0.3)
-    found = look(log, BuildOptions(posing=posing))
+    found = look(log, BuildOptions(posing=PosingOptions(poses=str(way), max_pose_gap_s=0.3)))
     assert "more scans have a pose with `max_pose_gap_s=" in found.warnings[-1]
 
 
