@@ -62,14 +62,20 @@ class Decision(NamedTuple):
 EVEN_ODDS = Decision(0.5, 0.5)
 
 
+def cut_squares(layer: NDArray[Any], side: int) -> NDArray[Any]:
+    """(H / side, W / side, side * side): each square of a layer (H, W); zeros fill up the last."""
+    filled = np.pad(layer, [(0, -length % side) for length in layer.shape])
+    rows, cols = (length // side for length in filled.shape)
+    squares = filled.reshape(rows, side, cols, side).swapaxes(1, 2)
+    return squares.reshape(rows, cols, side * side)
+
+
 def keep_largest(layer: UInt8, side: int) -> UInt8:
-    """(H / side, W / side): the largest number of each square of a layer (H, W); zeros fill it up.
+    """(H / side, W / side): the largest number of each square of a layer (H, W).
 
     Of `CellClass` it makes a square occupied where any cell is, else free where any is.
     """
-    filled = np.pad(layer, [(0, -length % side) for length in layer.shape])
-    rows, cols = (length // side for length in filled.shape)
-    return np.asarray(filled.reshape(rows, side, cols, side).max(axis=(1, 3)))
+    return np.asarray(cut_squares(layer, side).max(axis=2))
 
 
 class About(NamedTuple):

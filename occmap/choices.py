@@ -9,6 +9,7 @@ typed; they are written as they are typed.
 import math
 import operator
 import os
+import re
 import textwrap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -191,8 +192,14 @@ PLACE = Form(
 )
 
 
+LIKE_A_YEAR = re.compile(r"(19|20)\d\d")
+
+
 def _read_time(value: Any) -> float:
     """Make a stamp (s) of a number, or of a date, which is in UTC unless it says otherwise."""
+    if LIKE_A_YEAR.fullmatch(str(value)):
+        fix = f"write {value}-01-01 for the date, {value}.0 for seconds"
+        raise UsageError("this may be a year, or seconds", fix=fix)
     try:
         return _read_finite(value)
     except UsageError:

@@ -472,10 +472,9 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
     cell = Cell.find(Lattice(saved.manifest.resolution), question.x, question.y)
     # All that is in memory, or the tile that holds the point and those beside it.
     part = read_part(saved, cell.box)
-    manifest, grid = part.manifest, evidence.to_grid(part)
+    manifest, (grid, lasting) = part.manifest, evidence.find_lasting(part, question.min_passes)
     around = cell.read_around(grid)
     layers = cell.read_slices(part)
-    lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
     made = evidence.paint_box(lasting, model, cell.box)
     uses = find_uses(part, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, cell, part.ground, progress)

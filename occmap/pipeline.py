@@ -8,6 +8,7 @@ from typing import Any
 
 from occmap import writers
 from occmap.cells import Evidence
+from occmap.choices import take
 from occmap.clouds import LOCAL
 from occmap.errors import MapError, name_log
 from occmap.evidence import UNEVEN_SHARE, count_steady, list_contradictions, refuse_other
@@ -62,9 +63,9 @@ def build(
         refuse_unseen(tally, evidence.tiles)
 
         with tally.time("render"):
-            how = options.writing, options.max_cells, options.framing, options.min_passes
-            given = options.model, RenderOptions(None, *how), writers.want_whole(outputs)
-            grid, facts = paint_saved(Blocks.of(evidence), *given, [path.name for path in paths])
+            saved, how = Blocks.of(evidence), take(RenderOptions, vars(options))
+            whole, names = writers.want_whole(outputs), [path.name for path in paths]
+            grid, facts = paint_saved(saved, options.model, how, whole, names)
         with tally.time("write"):  # to hash the logs takes time
             # Notes compare logs that may be one with another, and builds.
             is_compared = past or len(set(map(manifests.measure_files, paths))) < len(paths)

@@ -274,6 +274,13 @@ def test_a_check_tells_what_is_left_out_or_does_nothing_as_a_build_does(tmp_path
             assert ["`topics=/points`" in each for each in told_of] == [False, *[True] * told]
 
 
+def test_other_poses_than_a_log_states_are_judged_as_any(tmp_path: Path) -> None:
+    log, way = SAMPLE_LOGS / "drive.log", tmp_path / "way.tum"
+    build([log], BuildOptions(selection=Selection(stride=5)), [way])
+    found = look(log, BuildOptions(posing=PosingOptions(poses=str(way), max_pose_gap_s=0.3)))
+    assert "more scans have a pose with `max_pose_gap_s=" in found.warnings[-1]
+
+
 def test_poses_that_come_seldom_need_a_larger_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

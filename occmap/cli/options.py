@@ -6,6 +6,8 @@ patterns, stdin and stdout.
 
 import math
 import os
+import shutil
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,13 +21,13 @@ import click
 from occmap.choices import Option, list_options
 from occmap.cli.console import Console, put_on_stdout, spell, write_rows
 from occmap.cli.declaring import PATH, Answer, CliOption, Value
-from occmap.errors import OccmapError, UsageError
+from occmap.errors import LogError, OccmapError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
 from occmap.plugins import list_plugins
-from occmap.report import Row, is_damage, label_first
+from occmap.report import STDIN_FOLDER, Row, is_damage, label_first
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
-from occmap.scans.logs import Inputs, find_inputs, keep_stdin
+from occmap.scans.logs import Inputs, find_inputs
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
 from occmap.types import Paths
 from occmap.writers import WriteOptions, find_writer
@@ -148,7 +150,7 @@ def choose_saved_model(evidence: Described, values: Values) -> SensorModel | Non
     return collect_model(values, read_model(evidence))
 
 
-STDOUT = "-"
+STDIN, STDOUT = Path("-"), "-"
 SCRATCH = "occmap-stdout-"
 
 
@@ -166,6 +168,29 @@ def gather_logs(console: Console, logs: Paths, options: BuildOptions, others: Pa
     recordings, notes = find_inputs(given, options.reading, [*others, *options.posing.files])
     console.announce(*notes)
     return recordings, list(filter(is_damage, notes))
+
+
+@contextmanager
+def keep_stdin(paths: Paths) -> Iterator[list[Path]]:
+    """Save what comes on stdin to a file while the block runs, where a path is `-`.
+
+    Raises
+    ------
+    LogError
+        Nothing comes on stdin, or it is closed.
+    """
+    if STDIN not in paths:
+        yield list(paths)
+        return
+    if sys.stdin is None:
+        raise LogError("is closed", where="stdin", fix="pipe a log into it")
+    with tempfile.TemporaryDirectory(prefix=STDIN_FOLDER) as folder:
+        saved = Path(folder) / STDIN.name  # pages and evidence call it so
+        with saved.open("wb") as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        if not saved.stat().st_size:
+            raise LogError("is empty", where="stdin", fix="pipe a log into it")
+        yield [saved if path == STDIN else path for path in paths]
 
 
 def place_outputs(console: Console, outputs: Paths, first: Path) -> tuple[Path, ...]:

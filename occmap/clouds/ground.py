@@ -459,11 +459,8 @@ def measure_seat(
     Seat or None
         None where nothing lies below them, and no height is given.
     """
-    sensors, path, under = (
-        tuple(paths),
-        thin_path(np.concatenate([*paths.values()])),
-        find_nothing(columns),
-    )
+    sensors, under = tuple(paths), find_nothing(columns)
+    path = thin_path(np.concatenate([*paths.values()]))
     band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
     seen = look_beside(columns, path, (UNDER, 0, 0), Layer(*band, STRAY), under)
     beside, share, lean = BESIDE, 0.5, (0.0, 0.0)

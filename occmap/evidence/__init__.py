@@ -1,9 +1,8 @@
 """Evidence: which model reads it, the map that this makes, what of it lasts, whether two fit."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,11 +13,11 @@ from occmap.choices import format_place
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
 from occmap.grid import Lattice, tiles
-from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint_cells
+from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
-from occmap.types import Float64, Int32, Int64, Pose, Update
+from occmap.types import Float64, Int32, Pose, Update
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -38,10 +37,17 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
 
 def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
     """Let a model say what the evidence means in a box of cells; the map knows no agreement."""
-    chosen, prior = choose_tiles(grid, model), to_log_odds(model.prior)
-    painted = paint_cells(chosen, partial(weigh, model), prior, box)
-    x, y, _, _ = grid.lattice.measure(box)
-    return OccupancyMap(*painted, grid.lattice.resolution, (x, y), models.find_decision(model))
+    chosen, lattice = choose_tiles(grid, model), grid.lattice
+    log_odds = np.full(box.shape, to_log_odds(model.prior), np.float32)
+    observed = np.zeros(box.shape, np.bool_)
+    for part in chosen.list_parts(box):
+        first, second = chosen.read(part)
+        seen, inside = chosen.observed(first, second), part.within(box)
+        observed[inside] = seen
+        log_odds[inside][seen] = weigh(model, first[seen], second[seen])
+    x, y, _, _ = lattice.measure(box)
+    decision = models.find_decision(model)
+    return OccupancyMap(log_odds, observed, lattice.resolution, (x, y), decision)
 
 
 def choose_tiles(grid: TileGrid, model: SensorModel) -> TileGrid:
@@ -256,99 +262,59 @@ def list_contradictions(hits: tuple[int, int], points: Mapping[str, int]) -> Ite
         )
 
 
-def keep_seen(part: Evidence, since: float | None, until: float | None) -> Evidence:
-    """Keep what was observed of cells that were seen in a span of time, and its slices.
+def find_lasting(
+    part: Evidence, min_passes: int | None, since: float | None = None, until: float | None = None
+) -> tuple[TileGrid, TileGrid]:
+    """Find what was observed of cells that were seen in a span of time, and what of that lasts.
+
+    Slices of time tell both; one that several builds share is one. The evidence stays as it is.
 
     Parameters
     ----------
+    min_passes
+        On so many visits a cell has to be hit for its hits to last; None: all lasts.
     since, until
-        Stamps (s) in the first and in the last slice of time; None: from, or to, any.
+        Stamps (s) in the first and in the last slice of the span; None: from, or to, any.
     """
-    if since is None and until is None:
-        return part
+    seen, is_cut = to_grid(part), (since, until) != (None, None)
+    if min_passes is None and not is_cut:
+        return seen, seen
+    slices = tiles.unite(cut_slices(part, since, until) if is_cut else part.slices)
+    known = {key: of_tile for key, of_tile in tiles.split_tiles(slices) if key in part.tiles}
+    if is_cut:
+        kept = {key: part.tiles[key] * tiles.find_seen(of_tile) for key, of_tile in known.items()}
+        seen = seen.like(tiles.drop_empty(kept))
+    if min_passes is None:
+        return seen, seen
+    lasting = {
+        key: weigh_visits(seen.tiles[key], of_tile, min_passes)
+        for key, of_tile in known.items()
+        if key in seen.tiles
+    }
+    return seen, seen.like(tiles.drop_empty(lasting))
+
+
+def cut_slices(part: Evidence, since: float | None, until: float | None) -> Iterator[Slices]:
+    """Take the slices of each build that lie in a span of time, as `find_lasting` has it."""
     gap_ns = round(part.manifest.pass_gap_s * 1e9)  # as slices were cut
     first = -math.inf if since is None else round(since * 1e9) // gap_ns
     last = math.inf if until is None else round(until * 1e9) // gap_ns
-    slices, seen = list[Slices](), dict[Key, Tile]()
     for each in part.slices:
         inside = (first <= each.numbers) & (each.numbers <= last)
-        slices.append(tiles.take_tiles(each, np.flatnonzero(inside)))
-    for key, of_tile in tiles.split_tiles(tiles.unite(slices)):
-        if key in part.tiles:
-            bits = np.bitwise_or.reduce(tiles.unpack_bits(of_tile)[:, 1])
-            seen[key] = part.tiles[key] * np.unpackbits(bits, axis=1)
-    return replace(part, tiles=tiles.drop_empty(seen), slices=tuple(slices))
+        yield tiles.take_tiles(each, np.flatnonzero(inside))
 
 
-MUCH = 0.25
-"""A note is given if this share of the occupied cells is lost: people are seldom so many."""
-
-
-def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | None) -> TileGrid:
-    """Weigh hits by the visits that they came on; `grid` stays as it is.
+def weigh_visits(tile: Tile, slices: Slices, min_passes: int) -> Tile:
+    """Weigh the hits of a tile by the visits that they came on.
 
     A cell that was hit on fewer than `min_passes` visits loses its hits. Of one that was hit on so
     many, and on at least half of those that saw it, misses are forgotten: at a thin wall they come
     from beams that graze it.
-
-    Parameters
-    ----------
-    grid
-        Of hits and misses.
-    slices
-        When the cells were observed, build by build; a slice that several builds share is one.
-    min_passes
-        None: all stays as it is.
     """
-    if min_passes is None:
-        return grid
-    lasting = dict[Key, Tile]()
-    for key, of_tile in tiles.split_tiles(tiles.unite(slices)):
-        if key in grid.tiles:
-            (hits, misses), (hit, seen) = grid.tiles[key], tiles.count_visits(of_tile)
-            often = hit >= min_passes
-            mostly = often & (2 * hit >= seen)
-            lasting[key] = np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
-    return grid.like(tiles.drop_empty(lasting))
-
-
-def paint_lasting(
-    grid: TileGrid, lasting: TileGrid, model: SensorModel, box: CellBox, around: CellBox
-) -> tuple[OccupancyMap, Int64]:
-    """Paint what lasts in a box of cells, and count what `sum_up` tells.
-
-    Parameters
-    ----------
-    around
-        The box, or a larger one in which hits and cells are counted that do not last.
-
-    Returns
-    -------
-    map, found
-        (4,) hits in occupied cells and all hits, those that do not last among them; cells that
-        would be occupied if all hits lasted, and those of them that are.
-    """
-    made, found = paint_box(lasting, model, box), np.zeros(4, np.int64)
-    occupied = np.zeros(around.shape, np.bool_)
-    occupied[box.within(around)] = made.occupied
-    found[:2] = count_agreeing(grid, occupied, around)
-    if lasting is not grid:
-        before = paint_box(grid, model, around).occupied
-        found[2:] = np.count_nonzero(before), np.count_nonzero(before & occupied)
-    return made, found
-
-
-def sum_up(found: Int64) -> tuple[float | None, list[str]]:
-    """Say how well a map agrees, and if much does not last, by (4,) what its parts found."""
-    agreeing, hits, were, still = found.tolist()
-    notes, lost = [], were - still
-    if lost and lost >= MUCH * were:
-        notes.append(
-            f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
-            f"{were:,}), since they were hit on fewer visits; walls may be among them: leave it "
-            "out, or build with a smaller `pass_gap_s`"
-        )
-    return agreeing / hits if hits else None, notes
+    (hits, misses), (hit, seen) = tile, tiles.count_visits(slices)
+    often = hit >= min_passes
+    mostly = often & (2 * hit >= seen)
+    return np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
 
 
 def check_passes(min_passes: int | None, model: SensorModel) -> None:

@@ -205,7 +205,7 @@ def describe_about(manifest: Manifest, name: str, options: Any, logs: Iterable[s
     name
         What `Manifest.identify` calls the evidence.
     options
-        Those of a build or of a map of saved evidence.
+        As `RenderOptions` of `occmap.store`.
     logs
         Names of those that the manifest does not have.
     """
@@ -213,8 +213,7 @@ def describe_about(manifest: Manifest, name: str, options: Any, logs: Iterable[s
     drawn = [[s.change, [ring.tolist() for ring in s.rings], s.width] for s in writing.shapes]
     given = write_value(writing) | write_value(framing)
     given["edits"] = drawn or None
-    # Only what is saved is shown as of a time.
-    given |= {name: getattr(options, name, None) for name in ("min_passes", "since", "until")}
+    given |= {name: getattr(options, name) for name in ("min_passes", "since", "until")}
     usual = write_value(type(writing)()) | write_value(type(framing)())
     # An option that a later version adds changes no name where nobody gives it.
     how = {name: value for name, value in given.items() if value != usual.get(name)}

@@ -17,14 +17,14 @@ import numpy as np
 
 from occmap.cells import CellBox, Key, Slices, Tile, view_tiles
 from occmap.errors import MapError
-from occmap.grid import MOST_CELLS_OF_BEAM, tiles
+from occmap.grid import MOST_CELLS_OF_BEAM
 from occmap.grid.kernels import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.kernels.beams import Tiles, read_tiles, sum_changes, trace_beams
 from occmap.grid.kernels.lines import Changes, Field
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.tiles import MAX_CELLS, WINDOW_CELLS, GridSpec, TileGrid, mark_observed
+from occmap.grid.tiles import MAX_CELLS, WINDOW_CELLS, GridSpec, TileGrid, refuse_large, unite
 from occmap.types import Bool, Int64, Kind, Rays, Update
 
 
@@ -292,7 +292,7 @@ class Engine(ABC):
 
     def _keep(self, tiles: Mapping[Key, Tile], bound: int, number: int) -> None:
         """Add what was observed in a slice of time to the whole; no value is above the bound."""
-        seen = [] if self._slice_ns is None else [mark_observed(self.grid.like(tiles), number)]
+        seen = [] if self._slice_ns is None else [self.grid.like(tiles).mark_seen(number)]
         with self._lock:
             self.grid.add(tiles, bound)
             self._slices += seen
@@ -305,7 +305,7 @@ class Engine(ABC):
     @property
     def bytes_held(self) -> int:
         """About what is held in memory, without what windows still hold."""
-        of_tiles = len(self.grid.tiles) * 2 * TILE * TILE * 4  # nearly all are 32 bits wide
+        of_tiles = sum(tile.nbytes for tile in self.grid.tiles.values())
         return of_tiles + sum(slices.nbytes for slices in self._slices)
 
     def finish(self) -> TileGrid:
@@ -318,7 +318,7 @@ class Engine(ABC):
         """Which cells each slice observed of what `finish` gave; none where none are kept."""
         if self._slice_ns is None:
             return ()
-        self._slices = [tiles.unite(self._slices)]
+        self._slices = [unite(self._slices)]
         return tuple(self._slices)
 
 
@@ -407,7 +407,7 @@ class GridEngine(Engine):
     def _trace_parts(self, beams: Beams, best: type[Window]) -> None:
         """Trace in windows that lie beside each other, one after the other."""
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
-            tiles.refuse_large(beams.box, self.spec.lattice, self._max_cells)
+            refuse_large(beams.box, self.spec.lattice, self._max_cells)
         side = max(int(self._window_cells**0.5) // TILE, 1) * TILE
         for part in beams.box.align(TILE).cut(side):
             window = best(self.spec, part, int(self._number(beams.rays.stamp_ns)[0]))

@@ -1,10 +1,8 @@
 """Makes one dense grid of sparse tiles, with hits spread to the cells around, and frames it."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
-from typing import NoReturn
 
 import numpy as np
 
@@ -14,7 +12,7 @@ from occmap.errors import MapError, require
 from occmap.grid import FARTHEST_UNIT, Lattice
 from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, TileGrid, refuse_large
 from occmap.report import write_metres
-from occmap.types import Bool, Float32, Float64, Kind, Rays
+from occmap.types import Bool, Kind, Rays
 
 
 class SpreadHits(TileGrid):
@@ -42,6 +40,9 @@ class SpreadHits(TileGrid):
         return seen.join(hit.grow(1)) if seen and hit else seen
 
 
+NOTHING_LEFT = "no observation is left, as where all were subtracted: there is no map"
+
+
 def find_bounds(tiles: TileGrid) -> CellBox:
     """The smallest box around all observed cells.
 
@@ -50,15 +51,9 @@ def find_bounds(tiles: TileGrid) -> CellBox:
     MapError
         Nothing was observed.
     """
-    return measure_bounds(tiles) or refuse_nothing_left(None)
-
-
-def refuse_nothing_left(min_passes: int | None) -> NoReturn:
-    """Say that no cell was observed, or that none lasts; raises MapError."""
-    if min_passes is None:
-        raise MapError("no observation is left, as where all were subtracted: there is no map")
-    found = f"no cell was hit on {min_passes} visits, and none was seen free: there is no map"
-    raise MapError(found, fix="give a smaller `min_passes`")
+    if box := measure_bounds(tiles):
+        return box
+    raise MapError(NOTHING_LEFT)
 
 
 def measure_bounds(tiles: TileGrid) -> CellBox | None:
@@ -70,35 +65,6 @@ def measure_bounds(tiles: TileGrid) -> CellBox | None:
     edge = [key for key in tiles.tiles if key[0] in rows or key[1] in cols]
     found = list(filter(None, map(tiles.find_box, edge)))
     return reduce(CellBox.join, found) if found else None
-
-
-def paint_cells(
-    tiles: TileGrid, log_odds: Callable[[Float64, Float64], Float64], prior: float, box: CellBox
-) -> tuple[Float32, Bool]:
-    """Let a model say what the numbers mean, cell by cell.
-
-    Parameters
-    ----------
-    log_odds
-        Of (N,) first and second numbers of observed cells.
-    prior
-        Log-odds of a cell that nothing observed.
-    box
-        The cells to paint.
-
-    Returns
-    -------
-    log_odds, observed
-        (H, W) each, of the cells of the box.
-    """
-    grid = np.full((box.rows, box.cols), prior, np.float32)
-    observed = np.zeros((box.rows, box.cols), np.bool_)
-    for part in tiles.list_parts(box):
-        first, second = tiles.read(part)
-        seen, inside = tiles.observed(first, second), part.within(box)
-        observed[inside] = seen
-        grid[inside][seen] = log_odds(first[seen], second[seen])
-    return grid, observed
 
 
 def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, int]:

@@ -110,6 +110,16 @@ class TileGrid:
         """Which cells hold an observation, by their two numbers, of any shape."""
         return np.asarray((first != 0) | (second != 0))
 
+    def mark_seen(self, number: int) -> Slices:
+        """Mark what was hit and seen, where all of it was in slice `number`."""
+        tiles, cells = stack_tiles(self.tiles)
+        bits = np.packbits(cells != 0, axis=-1)
+        if self.kind is EvidenceKind.COUNTS:
+            bits[:, 1] |= bits[:, 0]
+        else:
+            bits[:, 0] = 0  # the sum of log-odds, which says nothing of hits
+        return pack_bits(tiles, np.full(len(tiles), number), bits)
+
     def find_box(self, key: Key) -> CellBox | None:
         """The smallest box around the observed cells of a tile; None: it has none."""
         row, col = key
@@ -255,17 +265,6 @@ BLOCK = 4096
 """Tiles that are unpacked at the same time, 1 KiB each"""
 
 
-def mark_observed(grid: TileGrid, number: int) -> Slices:
-    """Mark what was hit and seen in slice `number`; `grid` is the evidence of that slice."""
-    tiles, cells = stack_tiles(grid.tiles)
-    bits = np.packbits(cells != 0, axis=-1)
-    if grid.kind is EvidenceKind.COUNTS:
-        bits[:, 1] |= bits[:, 0]
-    else:
-        bits[:, 0] = 0  # the sum of log-odds, which says nothing of hits
-    return pack_bits(tiles, np.full(len(tiles), number), bits)
-
-
 def pack_bits(tiles: Int64, numbers: Int64, bits: UInt8) -> Slices:
     """Pack the bits (K, 2, 64, 8) of tiles (K, 2) in slices (K,)."""
     changes = bits.copy()
@@ -342,6 +341,11 @@ def split_tiles(slices: Slices) -> Iterator[tuple[Key, Slices]]:
     for part in split(slices, [*new.tolist(), len(slices.tiles)]):
         for row, col in part.tiles[:1].tolist():  # none where there are no slices at all
             yield (row, col), part
+
+
+def find_seen(slices: Slices) -> UInt8:
+    """(64, 64) of one tile: 1 where a slice saw the cell, else 0."""
+    return np.unpackbits(np.bitwise_or.reduce(unpack_bits(slices)[:, 1]), axis=1)
 
 
 def count_visits(slices: Slices) -> Int64:

@@ -254,11 +254,10 @@ def fit_globe(known: Float64) -> tuple[tuple[float, float], float, Float64]:
 
 def sum_up_poses(topic: TopicSurvey, plan: PosePlan) -> PoseFindings:
     """Sum up how the scans of a topic get their poses."""
-    stated = topic.stated and plan.poser.options.takes_stated()
-    chain = None if stated else plan.poser.chains.get(next(iter(topic.frames)))
+    chain = None if topic.stated else plan.poser.chains.get(next(iter(topic.frames)))
     faults = [plan.faults[frame] for frame in topic.frames if frame in plan.faults]
     return PoseFindings(
-        stated=stated,
+        stated=topic.stated,
         chain=chain.frames if chain else (),
         posed=topic.posed,
         dropped=dict(plan.poser.count_lost(topic.stream.topic)),

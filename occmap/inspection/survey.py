@@ -355,6 +355,8 @@ class TopicSurvey:
 
     stream: Stream
     is_sampled: bool
+    stated: bool
+    """Poses beside scans count, and every scan so far had one"""
     sample: TopicSample = field(default_factory=TopicSample)
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
@@ -363,8 +365,6 @@ class TopicSurvey:
     read: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
     posed: int = 0
-    stated: bool = True
-    """Every scan so far had its pose beside it"""
 
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
         """Take note of scans; those that nobody asked for are only counted."""
@@ -391,8 +391,9 @@ class Survey(Selector):
         super().__init__(options)
         self.drive = drive
         streams = {each.topic: each for each in reversed(drive.log.streams)}
+        stated = options.posing.takes_stated()
         self.topics = {
-            topic: TopicSurvey(streams[topic], place < SAMPLED_TOPICS)
+            topic: TopicSurvey(streams[topic], place < SAMPLED_TOPICS, stated)
             for place, topic in enumerate(drive.topics)
         }
         self._behind = options.hit_offset * options.resolution

@@ -20,7 +20,7 @@ from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
 
-from occmap.cells import Box, CellBox, Evidence, Ground, OccupancyMap, Slices
+from occmap.cells import Box, CellBox, Evidence, Ground, OccupancyMap, Slices, cut_squares
 from occmap.evidence import to_grid
 from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
@@ -184,19 +184,11 @@ def thin(band: Layers, step: int) -> Layers:
     """Keep, of each block of `step` x `step` cells, the one of the highest rank."""
     if step == 1:
         return band
-    best = to_blocks(band["rank"], step).argmax(axis=2)[..., None]
+    best = cut_squares(band["rank"], step).argmax(axis=2)[..., None]
     return {
-        name: np.take_along_axis(to_blocks(layer, step), best, axis=2)[..., 0]
+        name: np.take_along_axis(cut_squares(layer, step), best, axis=2)[..., 0]
         for name, layer in band.items()
     }
-
-
-def to_blocks(layer: NDArray[Any], step: int) -> NDArray[Any]:
-    """Sort the cells of (H, W) into (H / step, W / step, step * step); zeros fill up the last."""
-    rows, cols = (-(-side // step) for side in layer.shape)
-    filling = [(0, -side % step) for side in layer.shape]
-    blocks = np.pad(layer, filling).reshape(rows, step, cols, step).swapaxes(1, 2)
-    return blocks.reshape(rows, cols, step * step)
 
 
 def pack_layer(array: NDArray[Any]) -> Packed:

@@ -1,14 +1,11 @@
-"""What is known of a log before its scans are read: its topics, and where the robot went."""
+"""Logs before their scans are read: those that a path stands for, their topics and their poses."""
 
 import glob
 import operator
 import os
 import re
-import shutil
-import sys
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, MutableSequence, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
 from itertools import chain
@@ -23,7 +20,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.frames import join_topic, last_part
 from occmap.posing.sources import gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
-from occmap.report import STDIN_FOLDER, Note, count, is_damage, join_names
+from occmap.report import Note, count, is_damage, join_names
 from occmap.sensor.models import CountingModel, RadialModel
 from occmap.types import Cloud, Paths, PoseBatch, PoseSample, Scan, Update
 
@@ -196,7 +193,6 @@ def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
     return list(first.values())
 
 
-STDIN = Path("-")
 RECORDED = (".mcap", ".bag", ".db3")
 """Suffixes that only recordings have; others are taken for such where a recording has them."""
 
@@ -306,26 +302,3 @@ def describe_found(path: Path, logs: Paths, others: int) -> str:
     passed = f"; {count(others, 'other file')} passed over" if others else ""
     order = ", in the order of their time" if len(logs) > 1 else ""
     return f"{path}: {count(len(logs), 'recording')}{order}: {names}{passed}"
-
-
-@contextmanager
-def keep_stdin(paths: Paths) -> Iterator[list[Path]]:
-    """Save what comes on stdin to a file while the block runs, where a path is `-`.
-
-    Raises
-    ------
-    LogError
-        Nothing comes on stdin, or it is closed.
-    """
-    if STDIN not in paths:
-        yield list(paths)
-        return
-    if sys.stdin is None:
-        raise LogError("is closed", where="stdin", fix="pipe a log into it")
-    with tempfile.TemporaryDirectory(prefix=STDIN_FOLDER) as folder:
-        saved = Path(folder) / STDIN.name  # pages and evidence call it so
-        with saved.open("wb") as file:
-            shutil.copyfileobj(sys.stdin.buffer, file)
-        if not saved.stat().st_size:
-            raise LogError("is empty", where="stdin", fix="pipe a log into it")
-        yield [saved if path == STDIN else path for path in paths]

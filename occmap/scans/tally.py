@@ -51,10 +51,6 @@ REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
 _LOCK = Lock()
 
 
-def ignore_advance(_scans: int) -> None:  # no lambda: workers give their tallies as pickles
-    """Show no progress."""
-
-
 @dataclass(frozen=True)
 class ScanCounts:
     """What became of the scans."""
@@ -85,8 +81,8 @@ class Tally:
     Any thread may call `time`; all other methods belong to one thread.
     """
 
-    tell: Callable[[int], None] = ignore_advance
-    """Called now and then with the scans read since the last call"""
+    tell: Callable[[int], None] | None = None
+    """Called now and then with the scans read since the last call; None: nobody is told"""
     shown_every: int = 0
     """The hits of every n-th used scan are kept, to be shown; 0: an output wants none"""
     logs: list[str] = field(default_factory=list)
@@ -129,7 +125,8 @@ class Tally:
     def advance(self, scans: int) -> None:
         """Report that so many more scans were read; a negative number takes some back."""
         self.advanced += scans
-        self.tell(scans)
+        if self.tell:
+            self.tell(scans)
 
     def add(self, other: "Tally") -> None:
         """Add the counts and times of another tally."""

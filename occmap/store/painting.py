@@ -9,17 +9,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache, reduce
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
 from occmap import evidence, writers
-from occmap.cells import About, Box, CellBox, CellClass, Decision, Evidence, Manifest, OccupancyMap
+from occmap.cells import About, Box, CellBox, CellClass, Decision, Manifest, OccupancyMap
 from occmap.choices import TIME, check_bounds, option
 from occmap.errors import MapError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
-from occmap.grid import Lattice, rendering
-from occmap.grid.rendering import Framing, choose_box, measure_bounds
+from occmap.grid import Lattice
+from occmap.grid.rendering import NOTHING_LEFT, Framing, choose_box, count_agreeing, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.report import results
 from occmap.report.results import MapFacts, Report, count_cells
@@ -78,10 +78,12 @@ class RenderOptions:
 
 
 Piece: TypeAlias = tuple[tuple[slice, slice], OccupancyMap, Int64]
-"""A piece of a map as it is painted: its rows and columns in the map, what it shows, and (4,) as
-`paint_lasting` counts it"""
-Grids: TypeAlias = tuple[TileGrid, TileGrid]
-"""What was observed in a box of cells or beside it, and what of that lasts"""
+"""A piece of a map as it is painted: its rows and columns in the map, what it shows, and (4,) its
+hits in occupied cells and all of them, also those that do not last; its cells that would be
+occupied if all hits lasted, and those of them that are"""
+Read: TypeAlias = Callable[[CellBox], tuple[TileGrid, TileGrid]]
+"""Gives what was observed in a box of cells, and maybe beside it, when the user wants to know, and
+what of that lasts; raises MapError where a block cannot be read"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +91,7 @@ class BlockMap:
     """A map that is painted piece by piece, anew whenever it is asked for."""
 
     source: Blocks
-    read: Callable[[CellBox], Grids]
-    """Raises MapError where a block cannot be read"""
+    read: Read
     model: SensorModel
     options: RenderOptions
     box: CellBox
@@ -141,7 +142,7 @@ class BlockMap:
         """Paint the whole, and say what does not last; raises MapError where it is too large."""
         refuse_large(self.box, Lattice(self.resolution), self.options.max_cells)
         made, found = self.paint(self.box)
-        agreement, lost = evidence.sum_up(found)
+        agreement, lost = sum_up(found)
         return replace(made, agreement=agreement, about=self.about), lost
 
     def list_pieces(self, box: CellBox) -> Iterator[Piece]:
@@ -156,10 +157,16 @@ class BlockMap:
         counts_forgotten = self.is_whole(box) and self.options.min_passes is not None
         for part in self.list_parts(box):
             shown = box.clip(part)
-            counted = part if counts_forgotten else shown
-            if counted.cells:
-                grids = self.read(counted)
-                made, found = evidence.paint_lasting(*grids, self.model, shown, counted)
+            around = part if counts_forgotten else shown
+            if around.cells:
+                seen, lasting = self.read(around)
+                made = evidence.paint_box(lasting, self.model, shown)
+                occupied = np.zeros(around.shape, np.bool_)
+                occupied[shown.within(around)] = made.occupied
+                found = np.array([*count_agreeing(seen, occupied, around), 0, 0])
+                if lasting is not seen:
+                    before = evidence.paint_box(seen, self.model, around).occupied
+                    found[2:] = np.count_nonzero(before), np.count_nonzero(before & occupied)
                 yield shown.within(box), self.options.writing.edit(made), found
 
     def is_whole(self, box: CellBox) -> bool:
@@ -190,25 +197,17 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     """
     chosen, lattice = options or RenderOptions(), Lattice(source.manifest.resolution)
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
-    at_once = source.whole and find_lasting(source.whole, chosen)
+    when = chosen.min_passes, chosen.since, chosen.until
+    at_once = source.whole and evidence.find_lasting(source.whole, *when)
 
-    def read(box: CellBox) -> Grids:
-        return at_once or find_lasting(read_part(kept, box), chosen)
+    def read(box: CellBox) -> tuple[TileGrid, TileGrid]:
+        return at_once or evidence.find_lasting(read_part(kept, box), *when)
 
     box = choose_box(bound_map(kept, read, model, chosen), chosen.framing, lattice)
     return BlockMap(kept, read, model, chosen, box, lattice.resolution, find_decision(model))
 
 
-def find_lasting(part: Evidence, options: RenderOptions) -> Grids:
-    """What was observed when the user wants to know, and what of that lasts."""
-    seen = evidence.keep_seen(part, options.since, options.until)
-    grid = evidence.to_grid(seen)
-    return grid, evidence.keep_lasting(grid, seen.slices, options.min_passes)
-
-
-def bound_map(
-    source: Blocks, read: Callable[[CellBox], Grids], model: SensorModel, options: RenderOptions
-) -> CellBox:
+def bound_map(source: Blocks, read: Read, model: SensorModel, options: RenderOptions) -> CellBox:
     """The smallest box around all cells of a map; only blocks that may reach its edges are read.
 
     Raises
@@ -233,18 +232,43 @@ def bound_map(
             if box := measure(part):
                 farthest = max(farthest, outward * box[side])
         if math.isinf(farthest):
-            if reach and (options.since, options.until) != (None, None):
-                found = "nothing was observed, or lasts, of the time that is asked for"
-                raise MapError(found, fix="`occmap explain` says when a cell was seen")
-            rendering.refuse_nothing_left(options.min_passes if reach else None)
+            refuse_nothing_left(source, options)
         edges.append(int(outward * farthest))
     return CellBox(*edges)
+
+
+def refuse_nothing_left(source: Blocks, options: RenderOptions) -> NoReturn:
+    """Say why no cell is left of a map; raises MapError."""
+    if source.blocks and (options.since, options.until) != (None, None):
+        found = "nothing was observed, or lasts, of the time that is asked for"
+        raise MapError(found, fix="`occmap explain` says when a cell was seen")
+    if source.blocks and options.min_passes is not None:
+        visits = f"no cell was hit on {options.min_passes} visits, and none was seen free"
+        raise MapError(f"{visits}: there is no map", fix="give a smaller `min_passes`")
+    raise MapError(NOTHING_LEFT)
 
 
 def is_large(saved: Blocks) -> bool:
     """Whether the map of all evidence would be large."""
     keys, side = (saved.whole.tiles, 1) if saved.whole else (saved.blocks, SIDE)
     return bool(keys) and CellBox.enclose(keys).cells * side**2 > LARGE_TILES
+
+
+MUCH = 0.25
+"""A note is given if this share of the occupied cells is lost: people are seldom so many."""
+
+
+def sum_up(found: Int64) -> tuple[float | None, list[str]]:
+    """Say how well a map agrees, and if much does not last, by (4,) what its parts found."""
+    agreeing, hits, were, still = found.tolist()
+    notes, lost = [], were - still
+    if lost and lost >= MUCH * were:
+        notes.append(
+            f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
+            f"{were:,}), since they were hit on fewer visits; walls may be among them: leave it "
+            "out, or build with a smaller `pass_gap_s`"
+        )
+    return agreeing / hits if hits else None, notes
 
 
 def survey_blocks(made: BlockMap) -> MapFacts:
@@ -259,7 +283,7 @@ def survey_blocks(made: BlockMap) -> MapFacts:
     for _, piece, of_piece in made.list_pieces(made.box):
         cells += count_cells(piece, made.options.writing)
         found += of_piece
-    return MapFacts(made.resolution, made.extent, made.shape, cells, *evidence.sum_up(found))
+    return MapFacts(made.resolution, made.extent, made.shape, cells, *sum_up(found))
 
 
 def refuse_unsaved(outputs: Paths, overview: int | None) -> None:
@@ -374,7 +398,7 @@ def read_overview(store: Blocks, side: int, options: RenderOptions) -> Occupancy
         fix = f"there are those of {', '.join(map(str, sorted(arrays)))}"
         raise UsageError(found, where=store.where, fix=fix)
     if not store.blocks:
-        rendering.refuse_nothing_left(None)
+        refuse_nothing_left(store, options)
     fine = Lattice(store.manifest.resolution)
     coarse = Lattice(round(fine.resolution * side, 12))
     observed = reduce(CellBox.join, store.blocks.values())

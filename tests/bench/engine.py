@@ -7,15 +7,13 @@ from time import process_time
 
 import numpy as np
 
-from occmap.cells import CellBox
-from occmap.grid.rendering import paint_cells
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.options import BuildOptions
 from occmap.scans import make_engine
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
 from occmap.threads import Threads
-from occmap.types import BEAM_UPDATES, Int64, PosedScans, Update
+from occmap.types import BEAM_UPDATES, PosedScans, Update
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import Trace, find_box
@@ -101,16 +99,10 @@ def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
     """
     box = find_box(workload)
     evidence = trace(workload, Update.BEAM, COUNTS)
-    expected = (spread(evidence, 0, box), spread(evidence, 1, box))
+    expected = evidence.gather(box)
     for name, yardstick in yardsticks.items():
         counts = zip(("hits", "misses"), expected, yardstick(workload, box), strict=True)
         for what, mine, its in counts:
             differing = int(np.count_nonzero(mine != its))
             if differing:
                 raise DisagreementError(f"{workload.name}: {what} of {differing} cells, {name}")
-
-
-def spread(evidence: TileGrid, number: int, box: CellBox) -> Int64:
-    """(H, W) of a box around all evidence: the first or second number of each cell."""
-    counts, _ = paint_cells(evidence, lambda *pair: pair[number], 0.0, box)
-    return counts.astype(np.int64)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.evidence import keep_lasting, paint_box, to_grid
+from occmap.evidence import find_lasting, paint_box, to_grid
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.types import Float64
@@ -115,7 +115,7 @@ def judge(scene: Scene, folder: Path, rules: Mapping[str, BuildOptions]) -> dict
         stands = paint_box(to_grid(alone.evidence), options.model, box).occupied
         (met, _), (hit, _) = (to_grid(of.evidence).gather(box, np.int64) for of in (alone, people))
         ghosts = (hit > 0) & office._erode(~stands & (met == 0))  # not beside what stands
-        lasting = keep_lasting(to_grid(people.evidence), people.evidence.slices, options.min_passes)
+        _, lasting = find_lasting(people.evidence, options.min_passes)
         occupied = paint_box(lasting, options.model, box).occupied
         fates[name] = Fate(float(occupied[stands].mean()), 1 - float(occupied[ghosts].mean()))
     return fates

@@ -70,6 +70,7 @@ REFUSED = [
     ("render a.npz -o m.pgm --model counting --p-hit 0.8", 2, "'p_hit'; choose --model simple"),
     ("render a.npz -o m.pgm --model quadratic", 1, "quadratic"),
     ("render a.npz -o m.pgm --since noon", 2, "--since is 'noon'; give seconds, or a date such as"),
+    ("render a.npz -o m.pgm --since 2024", 2, "--since 2024: this may be a year, or seconds"),
     ("render a.npz -o m.pgm --since 2040-01-01", 1, "nothing was observed, or lasts, of the time"),
     ("render q.npz -o m.pgm --model simple", 1, "q.npz: was summed up for"),
     ("merge -o m.npz", 2, "'NPZ|ZARR...'; write, for example, occmap merge monday.npz"),

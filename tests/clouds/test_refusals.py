@@ -64,7 +64,9 @@ def test_a_map_that_is_too_large_is_refused_before_room_is_made_for_it() -> None
     tight = CloudEngine(LATTICE, band, ground, max_cells=ROOM.cells)
     for each in clouds:
         tight.add(each)  # the map is as large as it may be, though its ground goes on
-    assert tight.finish().tiles.keys() == observe(clouds, ground).finish().tiles.keys()
+    sheets, kept = tight.bytes_held, tight.finish().tiles
+    assert kept.keys() == observe(clouds, ground).finish().tiles.keys()
+    assert tight.bytes_held - sheets == len(kept) * 2 * 64 * 64  # a byte for each number
 
 
 def test_a_limit_on_beams_is_refused_for_clouds(tmp_path: Path) -> None:

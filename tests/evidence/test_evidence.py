@@ -15,7 +15,7 @@ import pytest
 from occmap import Map, build_map, merge
 from occmap.cells import Manifest, Slices
 from occmap.errors import MapError
-from occmap.evidence import keep_lasting, list_misfit, measure_conflict, weigh
+from occmap.evidence import find_lasting, list_misfit, measure_conflict, weigh
 from occmap.evidence.manifest import list_doubts, list_repeated
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, pack_bits
 from occmap.options import BuildOptions
@@ -23,7 +23,7 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.sensor import ReturnCounts, ReturnOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model
-from occmap.store import Blocks
+from occmap.store import Blocks, read_all
 from occmap.store.painting import RenderOptions, open_map, publish, render_saved
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
@@ -470,18 +470,18 @@ def observe(cells: Sequence[tuple[int, int, int, int]]) -> tuple[TileGrid, Slice
 def test_what_is_left_of_a_cell(cell: tuple[int, int, int, int], left: tuple[int, int]) -> None:
     grid, slices = observe([cell, (1, 1, 2, 2)])
     before = grid.tiles[5, -7].copy()
-    lasting = keep_lasting(grid, [slices], 2).tiles[5, -7]
+    lasting = find_lasting(read_all(hold(grid, slices)), 2)[1].tiles[5, -7]
     assert tuple(lasting[:, 0, 0].tolist()) == left
     assert lasting[:, 0, 1].tolist() == [1, 0]
     assert np.array_equal(grid.tiles[5, -7], before)
-    assert keep_lasting(grid, [slices], None) is grid
 
 
 def test_slices_of_all_builds_count_once() -> None:
     grid, slices = observe([(9, 5, 1, 1), (0, 1, 0, 1)])
     for later, left in ((0, [0, 5]), (1, [0, 5]), (2, [9, 0])):
         other = replace(slices, numbers=slices.numbers + later)
-        assert keep_lasting(grid, [slices, other], 2).tiles[5, -7][:, 0, 0].tolist() == left
+        _, lasting = find_lasting(read_all(hold(grid, slices, other)), 2)
+        assert lasting.tiles[5, -7][:, 0, 0].tolist() == left
 
 
 def test_nothing_left_is_no_map() -> None:

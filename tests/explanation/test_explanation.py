@@ -15,7 +15,7 @@ import pytest
 from occmap.cells import Evidence
 from occmap.choices import read_options
 from occmap.errors import LogError, MapError, PoseError
-from occmap.evidence import keep_lasting, render, to_grid
+from occmap.evidence import find_lasting, render
 from occmap.evidence.manifest import UNRECORDED, describe_build, list_logs
 from occmap.explanation import Explanation, Question, Use, explain, find_uses, recall_options
 from occmap.options import BuildOptions, Selection
@@ -104,8 +104,7 @@ def test_a_cell_is_judged_as_the_map_is() -> None:
         models.SimpleModel(spread=0.0),
     ]
     for model, min_passes in product(judges, (None, 2)):
-        lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
-        grid = render(lasting, model, 10**9)
+        grid = render(find_lasting(evidence, min_passes)[1], model, 10**9)
         rng = np.random.default_rng(2)
         for row, col in rng.integers(0, grid.shape, (20, 2)):
             point = grid.origin[0] + (col + 0.5) * 0.05, grid.origin[1] + (row + 0.5) * 0.05

@@ -14,7 +14,7 @@ from occmap.errors import MapError, UsageError
 from occmap.evidence import render
 from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
-from occmap.grid.rendering import Framing, SpreadHits, count_agreeing, find_bounds, paint_cells
+from occmap.grid.rendering import Framing, SpreadHits, count_agreeing, find_bounds
 from occmap.grid.tiles import PART, TILE, EvidenceKind, GridSpec, TileGrid, find_unit
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
 from occmap.store.painting import RenderOptions, open_map
@@ -54,14 +54,12 @@ def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, u
     rows, cols = zip(*expected, strict=True)
     box = find_bounds(tiles)
     assert box == CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
-    for layer in (0, 1):
-        painted, observed = paint_cells(tiles, lambda *pair, layer=layer: pair[layer], -1.0, box)
-        found = {
-            (row + box.row, col + box.col): float(painted[row, col])
-            for row, col in np.argwhere(observed).tolist()
-        }
-        assert found == pytest.approx({cell: pair[layer] for cell, pair in expected.items()})
-        assert (painted[~observed] == -1).all()
+    hits, misses = tiles.read(box)
+    places = np.argwhere(tiles.observed(hits, misses)).tolist()
+    assert {(row + box.row, col + box.col) for row, col in places} == expected.keys()
+    for row, col in places:
+        pair = hits[row, col], misses[row, col]
+        assert pair == pytest.approx(expected[row + box.row, col + box.col])
 
 
 def test_nothing_observed_has_no_bounds_whatever_is_spread() -> None:

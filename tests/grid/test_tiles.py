@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from occmap.cells import Slices
 from occmap.errors import MapError
+from occmap.evidence import render
 from occmap.grid import Lattice, tiles
-from occmap.grid.rendering import Reach, find_bounds, paint_cells
+from occmap.grid.rendering import Reach, find_bounds
 from occmap.grid.tiles import TILE, EvidenceKind
+from occmap.sensor.models import QuadraticModel
 from tests.grid import scans
 
 
@@ -64,16 +66,13 @@ def test_a_robot_that_stands_still_for_ten_hours() -> None:
         scans.add_cell(grid, 4, 4, log_odds * per_minute, per_minute)
     tile = grid.tiles[0, 0]
     assert tile[:, 4, 4].tolist() == [log_odds * times * 1081, times * 1081]
-    of_map, _ = paint_cells(
-        grid, lambda sums, _: sums * tiles.LOG_ODDS_UNIT, 0.0, find_bounds(grid)
-    )
-    assert of_map[0, 0] == pytest.approx(-2.1972245773 * times * 1081, rel=1e-5)
+    made = render(grid, QuadraticModel(clamp_min=0.0, clamp_max=1.0), 10)
+    assert made.log_odds[0, 0] == pytest.approx(-2.1972245773 * times * 1081, rel=1e-5)
 
 
 def test_log_odds_of_zero_are_observed_where_there_were_observations() -> None:
     grid = scans.make_grid({(0, 0): (0, 2), (0, 2): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
-    _, observed = paint_cells(grid, np.subtract, 0.0, find_bounds(grid))
-    assert observed.tolist() == [[True, False, True]]
+    assert render(grid, QuadraticModel(), 10).observed.tolist() == [[True, False, True]]
 
 
 def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:

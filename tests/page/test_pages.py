@@ -10,7 +10,7 @@ from occmap import api
 from occmap.api import Map
 from occmap.cells import Box
 from occmap.page.raster import CLASS_COLOURS, SCAN_COLOUR, make_raster
-from occmap.writers.edits import Change, read_edits
+from occmap.writers.edits import read_edits
 from tests.page.browser import Shown, open_browser, wait_until
 
 DRIVE = Path("sample_logs/drive.mcap")
@@ -135,7 +135,7 @@ def test_shapes_drawn_over_the_map_are_saved_for_edits(drive: Drive, tmp_path: P
     saved = tmp_path / "edits.csv"
     wait_until(saved.exists, "edits.csv is saved")
     polygon, line = read_edits(saved)
-    assert (polygon.change, line.change) == (Change.FREE, Change.UNKNOWN)
+    assert [(it.change, it.width) for it in (polygon, line)] == [("free", None), ("unknown", 0.1)]
     np.testing.assert_allclose(polygon.rings[0], [(1, 1), (3, 1), (3, 2.5)], atol=0.03)
     np.testing.assert_allclose(line.rings[0], [(5, 1), (7, 2)], atol=0.03)
     page.click("#draw")

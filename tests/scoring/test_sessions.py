@@ -12,7 +12,6 @@ from occmap.choices import format_mount, to_rpy
 from occmap.difference.maps import Place
 from occmap.errors import MapError, PoseError
 from occmap.evidence import paint_box, render, to_grid
-from occmap.grid.tiles import mark_observed
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
@@ -206,7 +205,7 @@ def make_evidence(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
     """Evidence of 1 m cells (row, column) with hits and misses, all seen in slice 7."""
     manifest = Manifest(1.0, "beam", "counts", "", 10.0, 0.5, "counting", ())
     grid = make_grid(cells)
-    return Evidence(manifest, grid.tiles, (mark_observed(grid, 7),))
+    return Evidence(manifest, grid.tiles, (grid.mark_seen(7),))
 
 
 def list_cells(evidence: Evidence) -> dict[tuple[int, int], tuple[int, int]]:
@@ -225,7 +224,7 @@ def test_whole_cells_and_quarter_turns_move_evidence_exactly() -> None:
     turned = move_evidence(evidence, Transform(0.0, 0.0, math.pi / 2))
     assert list_cells(turned) == {(c, -r - 1): both for (r, c), both in CELLS.items()}
     (slices,) = turned.slices
-    assert_same_slices(slices, mark_observed(to_grid(turned), 7))
+    assert_same_slices(slices, to_grid(turned).mark_seen(7))
 
 
 def test_a_turn_leaves_neither_holes_in_a_floor_nor_gaps_in_a_wall() -> None:
