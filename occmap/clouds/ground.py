@@ -52,7 +52,10 @@ GIVE_HEIGHT = (
     "see in `occmap check` if the mount is wrong, else give `sensor_height=M`, or a plane: "
     "`ground=flat` `sensor_height=M`"
 )
-ITSELF = "the robot itself, which `min_range=M` leaves out, as far as it reaches around the sensor"
+LEAST_WAY, OWN_SHARE = 20, 0.3
+"""Of so many columns of the sensor's way, on drives that do not see their robot, points stand in at
+most 5%; where it, or who walks behind it, is seen, in 60% and more"""
+ITSELF = "the robot itself, which `footprint` leaves out: `occmap check` looks for it"
 LITTLE = 0.25
 """In a smaller share of the columns hardly any floor was seen: corridors have 0.7, streets 0.36"""
 LITTLE_FLOOR = (
@@ -115,6 +118,7 @@ def derive_ground(
     )
     notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
     notes += [*list_storeys(stood), *list_others(seats)]
+    notes += list_own(columns, counted.path, height, options)
     return pack_ground(blocks, height, measured), notes
 
 
@@ -372,6 +376,27 @@ def list_others(seats: Sequence[Seat]) -> Iterator[str]:
                 f"{taken}is seen {each.lower / 1000:.2f} m below it to be mirrored, or a hole: but "
                 f"the first may be {ITSELF}"
             )
+
+
+def list_own(columns: Shown, path: Int64, height: Int32, options: CloudOptions) -> Iterator[str]:
+    """Say if points stand on the ground (C,; mm) where sensors went themselves, along their path.
+
+    What is in the way of a robot cannot be where it drove.
+    """
+    way, pieces = find_nothing(columns), columns.pieces
+    look_beside(columns, path, (0, 0, 0), Layer(0, 0, 0), way)
+    is_way = (way.passed == growth.STOOD) & (height != NO_GROUND)
+    some = is_way[pieces.column]
+    of_way = Pieces(pieces.column[some], pieces.keys[some], pieces.at[some], pieces.counts)
+    deep, standing = np.zeros((2, len(height)), np.int32)
+    heights.count_apart(of_way, height, (-DEEP_MM, *options.band_mm), deep, standing)
+    many = int(np.count_nonzero(is_way))
+    share = np.count_nonzero(standing >= FEWEST_POINTS) / max(many, 1)
+    if many >= LEAST_WAY and share > OWN_SHARE:
+        yield (
+            f"something stands in {share:.0%} of the columns that the sensor itself went over: "
+            f"people who walk behind it, or {ITSELF}"
+        )
 
 
 def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:

@@ -33,6 +33,7 @@ from occmap.scans.logs import read_poser
 from occmap.scans.mounts import PosePlan
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
+from occmap.sensor import drop_own_points
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Update
 
 Clouds: TypeAlias = Sequence[PosedScans]
@@ -314,8 +315,7 @@ def list_cloud_concerns(
             yield topic, wrong
         if ground is None:
             continue
-        seen = [(posed, see_around(posed, ground, options)) for posed in clouds]
-        if body := find_body(seen, (-math.pi, math.tau / BEARINGS, BEARINGS), OWN_SPREAD_M):
+        if body := find_robot(clouds, ground, options):
             yield topic, warn_of_body(body)
         if not wrong and not is_known:  # which would be a reason for all that follows
             conflicts = [Concern(text) for text in list_conflicts(clouds, ground, options)]
@@ -385,6 +385,23 @@ def list_conflicts(clouds: Clouds, ground: Ground, options: BuildOptions) -> lis
             engine.add(posed)
         found += list_contradictions(count_steady(engine.finish().tiles), {})
     return found
+
+
+def find_robot(clouds: Clouds, ground: Ground, options: BuildOptions) -> Box | None:
+    """Find a box around all of the robot in clouds (m); farther parts show once nearer ones go."""
+    body: Box | None = None
+    while True:
+        seen = [(posed, see_around(posed, ground, options)) for posed in clouds]
+        found = find_body(seen, (-math.pi, math.tau / BEARINGS, BEARINGS), OWN_SPREAD_M)
+        if found and body:
+            x_min, y_min, x_max, y_max = zip(found, body, strict=True)
+            found = min(x_min), min(y_min), max(x_max), max(y_max)
+        if not found or found == body:
+            return body
+        body = found
+        clouds = [
+            drop_own_points(each, replace(options.returns, footprint=body)) for each in clouds
+        ]
 
 
 def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
