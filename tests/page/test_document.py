@@ -13,21 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap import api
+from occmap import api, page
 from occmap.cells import OccupancyMap
 from occmap.inspection.findings import LogFindings
-from occmap.page import (
-    BLUE,
-    RED,
-    Block,
-    Page,
-    Section,
-    compose,
-    paint_disagreement,
-    paint_map,
-    tell_notes,
-    to_script,
-)
+from occmap.page import Block, Page, Section, compose, tell_notes, to_script
 from tests.cli.runner import ask, occmap, read_error
 from tests.samples import SAMPLE_LOGS
 
@@ -161,8 +150,8 @@ def test_scripts_do_not_end_where_a_name_says_so() -> None:
     assert "<" not in to_script(value)
     assert json.loads(to_script(value)) == value
     sections = [tell_notes(LogFindings("", notes=("</li><script>",))), Section("<i>", [])]
-    page = compose(Page("</title><b>", "", sections))
-    assert Reader(page).kinds.isdisjoint({"b", "i"})
+    made = compose(Page("</title><b>", "", sections))
+    assert Reader(made).kinds.isdisjoint({"b", "i"})
 
 
 def test_nothing_is_fetched_and_the_line_of_a_notebook_can_be_typed() -> None:
@@ -211,22 +200,22 @@ def test_maps_are_aligned_by_their_lattice_and_the_highest_row_is_on_top() -> No
     first, second = draw("#./.."), draw("#", (0.1, -0.05))
     box = first.box.join(second.box)
     assert box.shape == (3, 3)
-    grey = paint_map(first, box)[60::120, 60::120, 0]
+    grey = page.paint_map(first, box)[60::120, 60::120, 0]
     assert grey.tolist() == [[12, 243, 205], [243, 243, 205], [205, 205, 205]]
-    assert paint_map(second, box)[60::120, 60::120, 0][2].tolist() == [205, 205, 12]
+    assert page.paint_map(second, box)[60::120, 60::120, 0][2].tolist() == [205, 205, 12]
 
 
 def test_red_is_contradiction_and_blue_is_what_not_all_know() -> None:
     maps = [draw("#.#?# "), draw("#...  "), draw("#.#.# ")]
-    legend, pixels = paint_disagreement(maps, maps[0].box)
+    legend, pixels = page.paint_disagreement(maps, maps[0].box)
     row = [tuple(pixel) for pixel in pixels[30, 30::60].tolist()]
-    assert row == [(0, 0, 0), (255, 255, 255), RED, BLUE, BLUE, (205, 205, 205)]
+    assert row == [(0, 0, 0), (255, 255, 255), page.RED, page.BLUE, page.BLUE, (205, 205, 205)]
     assert legend == "red: free or occupied (20.0%), blue: known or not (40.0%)"
 
 
 def test_a_large_map_is_shrunk_and_loses_no_wall() -> None:
     grid = draw("/".join(["." * 1300 + "#" + "." * 1200] * 30))
-    pixels = paint_map(grid, grid.box)
+    pixels = page.paint_map(grid, grid.box)
     assert pixels.shape == (10, 834, 3)
     assert (pixels[:, 1300 // 3, 0] == 12).all()
     assert (np.delete(pixels[..., 0], 1300 // 3, axis=1) == 243).all()
