@@ -109,13 +109,12 @@ class Counter:
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(FIRST_SIZE)
         sensor = self._log, posed.batch.topic, posed.batch.frame if posed.origin is None else ""
+        nearest = self._nearest
         room = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
-            while (
-                start := heights.count_heights(laid, table, start, self._nearest, room)
-            ) < points:
+            while (start := heights.count_heights(laid, table, start, nearest, room)) < points:
                 table = grow_table(table)
             self._see(sensor, stamp_ns, cloud)
         with self._lock:
@@ -149,8 +148,8 @@ def count_clouds(
 ) -> Counted:
     """Count all clouds of some batches, laid on some ground, without points that are nearer (m)."""
     some = list(clouds)
-    clouds_in_all = sum(each.batch.scans for each in some)
-    counter = Counter(clouds_in_all, ground=ground, min_range=min_range)
+    many = sum(each.batch.scans for each in some)
+    counter = Counter(many, ground=ground, min_range=min_range)
     for each in some:
         counter.add(each)
     return counter.count()
