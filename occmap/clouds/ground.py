@@ -55,7 +55,10 @@ GIVE_HEIGHT = (
 LEAST_WAY, OWN_SHARE = 20, 0.3
 """Of so many columns of the sensor's way, on drives that do not see their robot, points stand in at
 most 5%; where it, or who walks behind it, is seen, in 60% and more"""
-ITSELF = "the robot itself, which `footprint` leaves out: `occmap check` looks for it"
+ITSELF = (
+    "the robot itself: `footprint` or `min_range` leaves it out, and `occmap check` may tell how "
+    "far it reaches"
+)
 LITTLE = 0.25
 """In a smaller share of the columns hardly any floor was seen: corridors have 0.7, streets 0.36"""
 LITTLE_FLOOR = (

@@ -397,11 +397,18 @@ def find_robot(clouds: Clouds, ground: Ground, options: BuildOptions) -> Box | N
             x_min, y_min, x_max, y_max = zip(found, body, strict=True)
             found = min(x_min), min(y_min), max(x_max), max(y_max)
         if not found or found == body:
-            return body
+            return body and widen(body)
         body = found
         clouds = [
             drop_own_points(each, replace(options.returns, footprint=body)) for each in clouds
         ]
+
+
+def widen(body: Box) -> Box:
+    """Let a box around the robot (m) hold parts that a few beams meet now and then, too."""
+    edges = np.array(body) + OWN_SPREAD_M / 2 * np.array([-1, -1, 1, 1])
+    x_min, y_min, x_max, y_max = np.round(edges, 2).tolist()
+    return x_min, y_min, x_max, y_max
 
 
 def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:

@@ -79,8 +79,10 @@ class PoseFields(NamedTuple):
         samples = []
         for item in get_list(message, self.items) if self.items else [message]:
             stamp_ns = get_stamp(message if look(item, self.stamp) is None else item, self.stamp)
-            is_named = look(item, self.parent) or look(message, self.parent) is None
-            parent = get_frame(item if is_named else message, self.parent)
+            named = look(item, self.parent)  # an array, where definitions are damaged
+            is_named = named if isinstance(named, str) else named is not None
+            whose = item if is_named or look(message, self.parent) is None else message
+            parent = get_frame(whose, self.parent)
             child = get_frame(item, self.child) if self.child else ""
             pose = self.read_pose(item)
             samples.append(PoseSample(stamp_ns, parent, child, pose, static, topic, record_ns))

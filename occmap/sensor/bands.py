@@ -90,7 +90,8 @@ class RangeTally:
         above = far[(far > limit) & (far < np.inf)]
         self.above += above.size
         self.largest = max(self.largest, float(above.max(initial=0)))
-        self.about += int(np.count_nonzero((far >= limit) & (far <= (1 + BAND) * limit)))
+        with np.errstate(over="ignore"):  # a damaged log may state any limit
+            self.about += int(np.count_nonzero((far >= limit) & (far <= (1 + BAND) * limit)))
         if (far := far[(far >= self._floor) & (far < limit)]).size:
             self._keep(*np.unique(round_down(far), return_counts=True))
 

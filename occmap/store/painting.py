@@ -20,7 +20,7 @@ from occmap.errors import MapError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
 from occmap.grid import Lattice
 from occmap.grid.rendering import NOTHING_LEFT, Framing, choose_box, count_agreeing, measure_bounds
-from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
+from occmap.grid.tiles import MAX_CELLS, TILE, TileGrid, refuse_large
 from occmap.report import results
 from occmap.report.results import MapFacts, Report, count_cells
 from occmap.scans.tally import ScanCounts
@@ -36,6 +36,9 @@ KEPT_BLOCKS = 18
 """How many blocks are kept that were read last, up to 8 MiB each"""
 LARGE_TILES = 1 << 13
 """A map that spans more tiles, most of them maybe empty, is painted in parts"""
+FULL = 0.25
+"""Evidence in memory that fills more of a map than this is held to the limit of its cells; two
+sites far apart have few cells, and many between them"""
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
@@ -367,6 +370,8 @@ def paint_saved(
     else:
         made = replace(open_map(saved, model, options), logs=logs)
         if not whole and is_large(saved):
+            if saved.whole and len(saved.whole.tiles) * TILE**2 > FULL * made.box.cells:
+                refuse_large(made.box, Lattice(made.resolution), options.max_cells)
             facts = survey_blocks(made)
             return made, facts._replace(lost=[*notes, *facts.lost])
         shown, lost = made.paint_all()

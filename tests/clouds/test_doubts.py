@@ -119,6 +119,6 @@ def test_a_robot_that_stands_in_its_own_clouds_is_left_out_by_the_command(tmp_pa
     told, found = ("the robot is in its own scans", "that the sensor itself"), ask("check", *words)
     assert all(text in str(found) for text in told)
     box = found["command"][found["command"].index("--footprint") + 1]
-    assert list(map(float, box.split(","))) == pytest.approx([0.25, -0.2, 0.52, 0.2], abs=0.03)
+    assert list(map(float, box.split(","))) == pytest.approx([0.2, -0.25, 0.57, 0.25], abs=0.03)
     mended = str(ask("check", *words, "--footprint", box))
     assert not any(text in mended for text in told)

@@ -225,12 +225,9 @@ def test_how_well_hits_agree_is_told_of_the_cells_that_are_shown() -> None:
     assert none.agreement is None
 
 
-def test_an_extent_beside_the_map_is_refused() -> None:
+def test_an_extent_beside_the_map_or_of_too_many_cells_is_refused() -> None:
     with pytest.raises(MapError, match=r"in `extent`; the map's own box is 0.05, -0.05, 0.25, 0.1"):
         show(Framing(extent=(1.0, 0.0, 2.0, 1.0)))
-
-
-def test_a_frame_of_too_many_cells_is_refused() -> None:
     with pytest.raises(MapError, match="10 x 9 cells, more than `max_cells=89`"):
         show(Framing(margin=0.15), max_cells=89)
     assert show(Framing(margin=0.15), max_cells=90).shape == (9, 10)

@@ -338,12 +338,9 @@ def test_a_trajectory_file_carries_the_laser(tmp_path: Path, name: str) -> None:
     assert f"poses from {path}, taken as those of" in poser.notes[0]
 
 
-def test_transforms_are_no_trajectory() -> None:
+def test_what_is_no_trajectory_is_named_and_those_that_there_are() -> None:
     with pytest.raises(PoseError, match=r"/robot2/tf: transforms are not .* leave out `poses`"):
         build(*ROBOTS, poses="/robot2/tf")
-
-
-def test_a_trajectory_that_does_not_exist_lists_those_that_do() -> None:
     with pytest.raises(PoseError, match=r"^/slam: no such file.*topics of poses: /pose, /wheels$"):
         build(*drive("odom", "base_link", "/wheels"), *drive("map", "", "/pose"), poses="/slam")
 

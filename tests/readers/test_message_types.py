@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rosbags.typesys.store import Typestore
 
+from occmap.errors import DamageError
 from occmap.readers import Echo, ReaderOptions, Role, message_types, open_log
 from occmap.readers.cloud_messages import convert_cloud
 from occmap.readers.containers import Channel
@@ -54,6 +55,9 @@ def test_each_transform_is_a_sample_without_leading_slashes(kind: str) -> None:
         PoseSample(STAMP, "map", "odom", HALF_TURN, False, "/topic", 42),
         PoseSample(STAMP, "odom", "base", HALF_TURN, False, "/topic", 42),
     ]
+    message.transforms[0].header.frame_id = np.arange(2)  # by a damaged definition
+    with pytest.raises(DamageError, match="where text belongs"):
+        convert(kind, message)
 
 
 @pytest.mark.parametrize(
@@ -61,9 +65,7 @@ def test_each_transform_is_a_sample_without_leading_slashes(kind: str) -> None:
     [("/tf_static", True), ("/robot1/tf_static", True), ("tf_static", True), ("/tf", False)],
 )
 def test_transforms_on_a_static_topic_hold_at_all_times(topic: str, static: bool) -> None:
-    message = transforms(ROS2, STAMP, [("base", "laser", 1.0)])
-
-    (sample,) = convert("tf2_msgs/msg/TFMessage", message, topic)
+    (sample,) = convert(ros.TF, transforms(ROS2, STAMP, [("base", "laser", 1.0)]), topic)
 
     assert sample.static is static
 

@@ -130,6 +130,7 @@ def test_a_limit_that_the_scans_state_is_none_of_the_values() -> None:
     assert find(MEASURED + [30.0] * 50, stated=30.0) is None
     above = tally([*MEASURED, *[30.0] * 50, 31.0, math.inf, 77.0], stated=30.0)
     assert (above.above, above.largest, above.find_band()) == (2, 77.0, None)
+    assert tally(MEASURED, stated=float(np.finfo(np.float32).max)).above == 0
 
 
 @pytest.mark.parametrize(

@@ -375,6 +375,7 @@ def test_large_maps_in_memory_are_painted_in_parts(
     whole = run_all("whole"), build_map(DRIVE)
     monkeypatch.setattr(painting, "LARGE_TILES", 0)
     assert run_all("parts") == whole[0]
+    assert "--max-cells" in read_error(occmap(f"{lines[1]} --max-cells 99"), 1)
     shown = build_map(DRIVE)
     np.testing.assert_array_equal(shown.probability, whole[1].probability)
     assert (shown.agreement, shown.about) == (whole[1].agreement, whole[1].about)
