@@ -207,12 +207,9 @@ def _read_time(value: Any) -> float:
         return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
-def _read_drift(value: Any) -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
-    if value == "off":
-        return {}
-    if not isinstance(value, Mapping):
-        raise TypeError(value)
-    return {str(log): (tuple(stamps), tuple(added)) for log, (stamps, added) in value.items()}
+def _read_found(value: Any) -> dict[Any, Any]:
+    """Take what was found in logs, or none of it."""
+    return {} if value == "off" else dict(value)
 
 
 def _make_form(size: int, text: str, angles: slice = slice(0)) -> Form:
@@ -226,7 +223,7 @@ TRANSFORM = Form(
     lambda it: format_static(it.parent, it.child, it.pose),
 )
 TIME = Form(_read_time, "seconds, or a date such as 2026-11-02T08:00")
-DRIFT = Form(_read_drift, '"off"', lambda _drift: "off")
+FOUND = Form(_read_found, '"off"', lambda _found: "off")
 GLOBE = _make_form(3, "latitude,longitude,yaw in degrees, such as 52.5,13.4,30")
 TILT = _make_form(2, "roll,pitch in degrees, such as 2.5,-1")
 SECTOR = _make_form(2, "from,to in radians, counter-clockwise, such as 2.5,-2.5", slice(None))

@@ -161,6 +161,7 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
         values = {name: recall(name, value) for name, value in told.items()}
         if values.get("update") is Update.CLOUD:  # a drift that was found is told
             values.setdefault("height_drift", NO_DRIFT)
+            values.setdefault("own_points", {})
         return take(BuildOptions, values)
     except (OccmapError, TypeError, ValueError, OverflowError) as error:
         found = f"the options of a build in it cannot be read ({error})"
@@ -185,7 +186,7 @@ def recall(name: str, plain: Any) -> Any:
         plain = Pose(*plain)
     elif name == "static_transforms":
         plain = [PoseSample(*[*it[:3], Pose(*it[3]), *it[4:]]) for it in plain]
-    elif name == "height_drift":  # only how much it was is kept: it is found again
+    elif name in {"height_drift", "own_points"}:  # that they were found is kept: they are again
         plain = "on" if plain else "off"
     return option.read(plain)
 
@@ -383,9 +384,10 @@ def prepare_look(drive: Drive, cell: Cell, ground: Ground | None) -> Callable[[P
     if ground is None:
         spec = plan_grid(options)
         return lambda posed: look_at_cell(interpret(posed, options.returns)[0], spec, row, col)
-    if options.posing.height_drift is None:  # how large it was is recorded, and no more
-        drifts = count_ground(drive, drive.scans, None).drifts
-        drive.poser.drift = drifts.get(str(drive.log.path))
+    if None in (options.posing.height_drift, options.clouds.own_points):  # that they are recorded
+        counted = count_ground(drive, drive.scans, None)
+        drive.bodies = counted.bodies
+        drive.poser.drift = counted.drifts.get(str(drive.log.path))
     engine = make_engine(options, Keep(ground=ground))
 
     def look(posed: PosedScans) -> Int64:

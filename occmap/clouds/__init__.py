@@ -3,12 +3,14 @@
 Here is what a user may choose about them, and how some of many clouds are drawn.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 
-from occmap.choices import ABOVE_ZERO, check_bounds, option
+from occmap.choices import ABOVE_ZERO, FOUND, check_bounds, option
 from occmap.errors import require
+from occmap.sensor import Sensor, Voxels
 
 LOCAL, FLAT = "local", "flat"
 """How the ground is found, if no file has it"""
@@ -51,6 +53,15 @@ class CloudOptions:
         "Clouds: the sensor's height above the ground, where clouds do not show it.",
         unit="m",
         bounds=(ABOVE_ZERO, 100),
+    )
+    # None: found in each log. Else by sensor.
+    own_points: Mapping[Sensor, Voxels] | None = option(
+        None,
+        "Clouds: leave out what stays at one place around the sensor wherever it goes, as that is "
+        "the robot itself (on), or keep it (off).",
+        metavar="on|off",
+        none=("on", "to leave them out"),
+        form=FOUND,
     )
 
     def __post_init__(self) -> None:

@@ -2,7 +2,8 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from operator import itemgetter
 from threading import Lock
 from typing import NamedTuple, TypeAlias, TypeVar
@@ -15,7 +16,8 @@ from occmap.clouds.kernels import heights
 from occmap.clouds.kernels.heights import Cloud, Histogram, list_clouds
 from occmap.clouds.kernels.laying import lay_cloud, lay_columns
 from occmap.posing import Drift
-from occmap.types import Float64, Int64, PosedScans
+from occmap.sensor import AROUND_M, OUTSIDE, SIDE, Sensor, Voxels, number_voxels, place_voxels
+from occmap.types import COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
 
 POINTS_A_CLOUD = 12_500
 """About so many points of each cloud are counted, or an eighth: whichever is more."""
@@ -32,14 +34,28 @@ PLACE_MM, AREA_MM = 1000, 30_000
 """Clouds of one square see walls alike, so one of them is enough; those of one area see the same"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
+FEWEST_PLACES, BODY_PLACES, BODY_MM = 8, 50, 500
+"""The robot itself shows in clouds of so many places of its way at least, so many are enough, and
+such squares are a place"""
+FILLED_SHARE = 0.6
+"""It fills a voxel around its sensor in such a share of them"""
+KNOWN_SHARE, MET_SHARE = 0.5, 0.1
+"""In so many of them or more the column there is seen from afar, and in at most so many of these
+anything stands there then"""
+MET_BINS = -5, 20
+"""So far below a voxel and above it (bins)"""
+WAY_MM, MOST_APART = 200, 3
+"""A part of it goes through squares so wide beside those of the sensor, and the others are next to
+that, or next to these (voxels)"""
 
 
-Sensor: TypeAlias = tuple[str, str, str]
-"""A log, a topic and a frame, which is "" where clouds are in the map already"""
 Drawn: TypeAlias = tuple[float, float]
 """Numbers for the area, and for the square in it, where a cloud was made"""
 View: TypeAlias = tuple[int, str, str, str, int, int, int]
 """When a cloud was made (ns), by which sensor, and where that was (mm)"""
+
+Place: TypeAlias = tuple[Int32, Float64]
+"""(V,) the voxels around a sensor that a cloud fills, and (3, 4) its pose"""
 
 Kept = TypeVar("Kept")
 
@@ -54,6 +70,8 @@ class Counted(NamedTuple):
     """A few clouds, and (N, 3) where some of their points lie (m)"""
     drifts: dict[str, Drift]
     """By what heights are corrected, by log"""
+    bodies: dict[Sensor, Voxels]
+    """Where the robot itself is around a sensor: its points are not counted"""
 
     @property
     def path(self) -> Int64:
@@ -76,24 +94,26 @@ class Counter:
         clouds: int,
         log: str = "",
         ground: Ground | None = None,
-        views: int = UPRIGHT_CLOUDS,
+        kept: tuple[int, int] = (UPRIGHT_CLOUDS, BODY_PLACES),
         min_range: float = 0.0,
     ) -> None:
         """Make one for a build of so many clouds, those of a log, that are laid on some ground.
 
         Parameters
         ----------
-        views
-            How many of them show if walls stand upright.
+        kept
+            How many of them show if walls stand upright, and how many where the robot itself is.
         min_range
             Points nearer than this, on the map, show no ground (m).
         """
         self._log, self._nearest = log, float(min_range)
-        # Where the map is laid flat already, no walls are asked for.
-        self._most_views = 0 if ground else views
+        # Where clouds are laid on ground, both are known.
+        self._most_views, self._most_places = (0, 0) if ground else kept
         self._floor = ground and lay_columns(ground)
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
-        self._idle: list[Histogram] = []
+        # Points around a sensor may be the robot itself: they have tables of their own.
+        self._idle: defaultdict[Sensor | None, list[Histogram]] = defaultdict(list)
+        self._places: defaultdict[Sensor, dict[Drawn, tuple[View, Place]]] = defaultdict(dict)
         self._ways: defaultdict[Sensor, list[tuple[int, int, int, int]]] = defaultdict(list)
         """Where each sensor was (mm), and when (ns)"""
         self._views: dict[Drawn, tuple[View, Cloud]] = {}
@@ -106,19 +126,40 @@ class Counter:
 
     def add(self, posed: PosedScans) -> None:
         """Count the points of some clouds."""
-        with self._lock:
-            table = self._idle.pop() if self._idle else make_table(FIRST_SIZE)
         sensor = self._log, posed.batch.topic, posed.batch.frame if posed.origin is None else ""
-        nearest = self._nearest
-        room = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
-            start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
-            while (start := heights.count_heights(laid, table, start, nearest, room)) < points:
-                table = grow_table(table)
+            if self._most_places and posed.origin is None:
+                laid = self._count_around(sensor, stamp_ns, laid)
+            self._count(laid, None)
             self._see(sensor, stamp_ns, cloud)
+
+    def _count_around(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> Cloud:
+        """Count the points around a sensor apart, and give the cloud of the others."""
+        voxel = number_voxels(cloud.points.reshape(-1, 3))
+        is_near = voxel != OUTSIDE
+        x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
+        square = draw((x // BODY_MM << 32) + y // BODY_MM)
+        place = np.unique(voxel[is_near]), cloud.poses[len(cloud.poses) // 2]
         with self._lock:
-            self._idle.append(table)
+            seen = (stamp_ns, *sensor, x, y, z), place
+            keep_view(self._places[sensor], (square, 0.0), seen, self._most_places)
+        if not is_near.any():
+            return cloud
+        self._count(take_points(cloud, is_near), sensor)
+        return take_points(cloud, ~is_near)
+
+    def _count(self, cloud: Cloud, around: Sensor | None) -> None:
+        """Count points in the tables of those around a sensor, or of those far from any."""
+        with self._lock:
+            idle = self._idle[around]
+            table = idle.pop() if idle else make_table(FIRST_SIZE)
+        room = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
+        start, points = 0, len(cloud.points) // 3
+        while (start := heights.count_heights(cloud, table, start, self._nearest, room)) < points:
+            table = grow_table(table)
+        with self._lock:
+            idle.append(table)
 
     def _see(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
         """Keep where a cloud was made, and the cloud if it may show whether walls stand upright."""
@@ -133,8 +174,13 @@ class Counter:
         """Give what was counted."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
         views = {drawn: (view, sample_points(it)) for drawn, (view, it) in self._views.items()}
-        self._idle = [add_tables(self._idle)]
-        return Counted(self._idle[0], paths, views, {})
+        far, bodies = add_tables(self._idle.pop(None, [])), dict[Sensor, Voxels]()
+        for sensor, places in sorted(self._places.items()):
+            seen = [place for _, (_, place) in sorted(places.items())]
+            if body := find_body(far, paths[sensor], seen):
+                bodies[sensor] = body
+        others = (each for sensor in self._idle.keys() - bodies for each in self._idle[sensor])
+        return Counted(add_tables([far, *others]), paths, views, {}, bodies)
 
     @property
     def way(self) -> Int64:
@@ -159,14 +205,79 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
     """Add up what was counted of different logs, maybe by several processes."""
     tables = list[Histogram]()
     paths, drifts = dict[Sensor, Int64](), dict[str, Drift]()
+    bodies = dict[Sensor, Voxels]()
     views: dict[Drawn, tuple[View, Float64]] = {}
     for each in parts:
         tables.append(each.table)
         paths |= each.paths
         drifts |= each.drifts
+        bodies |= each.bodies
         for drawn, seen in each.views.items():
             keep_view(views, drawn, seen, UPRIGHT_CLOUDS)
-    return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts)
+    return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts, bodies)
+
+
+def take_points(cloud: Cloud, some: Bool) -> Cloud:
+    """Take some points (N,) of a cloud."""
+    points = cloud.points.reshape(-1, 3)[some].reshape(-1)
+    which = cloud.which[some] if cloud.which.size else cloud.which
+    return cloud._replace(points=points, which=which)
+
+
+def find_body(far: Histogram, way: Int64, places: Sequence[Place]) -> Voxels:
+    """Find where the robot itself is around a sensor.
+
+    It is there wherever the sensor goes, and from afar nothing is seen to stand there. What keeps
+    beside a straight way may be a shelf: so a part of it goes where the sensor went.
+
+    Parameters
+    ----------
+    far
+        What is counted of points that are not around the sensor.
+    way
+        (P, 3) where that went (mm).
+    """
+    if len(places) < FEWEST_PLACES:
+        return ()
+    every, many = np.unique(np.concatenate([filled for filled, _ in places]), return_counts=True)
+    voxels, poses = every[many >= FILLED_SHARE * len(places)], np.stack([it for _, it in places])
+    if not (len(voxels) and far.used[0]):
+        return ()
+    there = np.einsum("pij,vj->vpi", poses[:, :, :3], place_voxels(voxels)) + poses[:, :, 3]
+    # Higher up no points are counted that are not far away.
+    low = (there[..., 2] - poses[:, 2, 3] <= heights.RISE * AROUND_M).all(axis=1)
+    known, met = (each.sum(axis=1) for each in look_up(far, there[low]))
+    own = np.flatnonzero(low)[(known >= KNOWN_SHARE * len(places)) & (met <= MET_SHARE * known)]
+    steps = np.array([*product((-1, 0, 1), repeat=2)])
+    went = way[:, None, :2] // WAY_MM + steps
+    is_at = np.rint(there[own, :, :2] * 1000).astype(np.int64) // WAY_MM
+    body = np.isin(*(it @ [1 << 32, 1] for it in (is_at, went))).mean(axis=1) >= FILLED_SHARE
+    at, before = np.stack(np.unravel_index(voxels[own], (SIDE, SIDE, SIDE)), axis=1), body & False
+    while (body != before).any():
+        before = body
+        body = (np.abs(at[:, None] - at[before]).max(axis=-1) <= MOST_APART).any(axis=1)
+    return tuple(voxels[own][body].tolist())
+
+
+def look_up(table: Histogram, places: Float64) -> tuple[Bool, Bool]:
+    """Say of which places (..., 3; m) the column holds points that are no higher, or some there."""
+    order = np.argsort(table.keys[: int(table.used[0])])
+    keys = table.keys[order]
+    x, y, z = np.moveaxis(np.rint(places * 1000).astype(np.int64), -1, 0)
+    row, col = (axis // COLUMN_MM & heights.WIDE - 1 for axis in (y, x))
+    column = (row << 21 | col) << heights.PIECE_BITS
+    lowest, highest = (z // heights.BIN_MM + bins for bins in MET_BINS)
+    top = column + highest // heights.BINS + heights.HALF
+    is_known = np.searchsorted(keys, column) < np.searchsorted(keys, top, side="right")
+    is_met = np.zeros_like(is_known)
+    for up in range(3):  # no more hold so many bins
+        piece = lowest // heights.BINS + up
+        at = np.searchsorted(keys[:-1], column + piece + heights.HALF)
+        bins = piece[..., None] * heights.BINS + np.arange(heights.BINS)
+        is_about = (bins >= lowest[..., None]) & (bins <= highest[..., None])
+        filled = is_about & (table.counts[order[at]] > 0)
+        is_met |= (keys[at] == column + piece + heights.HALF) & filled.any(axis=-1)
+    return is_known, is_met
 
 
 def keep_view(

@@ -9,12 +9,13 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
-from occmap.clouds.counting import Counted, Sensor, thin_path
+from occmap.clouds.counting import Counted, thin_path
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, STRAY, Blocks, Found, Layer, Peaks, index_blocks
 from occmap.clouds.kernels.heights import BIN_MM, Histogram, Pieces
 from occmap.errors import MapError
 from occmap.report import join_names
+from occmap.sensor import Sensor
 from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32, Int64
 
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
@@ -55,10 +56,7 @@ GIVE_HEIGHT = (
 LEAST_WAY, OWN_SHARE = 20, 0.3
 """Of so many columns of the sensor's way, on drives that do not see their robot, points stand in at
 most 5%; where it, or who walks behind it, is seen, in 60% and more"""
-ITSELF = (
-    "the robot itself: `footprint` or `min_range` leaves it out, and `occmap check` may tell how "
-    "far it reaches"
-)
+ITSELF = "the robot itself, which `footprint` or `min_range` leaves out"
 LITTLE = 0.25
 """In a smaller share of the columns hardly any floor was seen: corridors have 0.7, streets 0.36"""
 LITTLE_FLOOR = (

@@ -60,6 +60,10 @@ def describe_build(
         for log, each in drift.items():
             name = Path(log).name
             told[f"{name} ({len(told) + 1})" if name in told else name] = measure_drift(each)
+    if (own := options.clouds.own_points) is None:
+        chosen.get("clouds", {}).pop("own_points", None)
+    else:  # likewise: whether anything was left out is told
+        chosen["clouds"]["own_points"] = bool(own)
     edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
     del chosen["writing"]["georeference"]  # likewise
     for path in options.posing.files:

@@ -19,7 +19,7 @@ from occmap.errors import MapError
 from occmap.evidence import count_steady, list_contradictions
 from occmap.grid import Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings, ScanFindings
-from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body
+from occmap.inspection.survey import TopicSurvey
 from occmap.options import OPTIONS, BuildOptions
 from occmap.posing import POSED, Concern, Deskew, Doubt, Stamps
 from occmap.posing.attach import Poser
@@ -33,7 +33,6 @@ from occmap.scans.logs import read_poser
 from occmap.scans.mounts import PosePlan
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
-from occmap.sensor import drop_own_points
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Update
 
 Clouds: TypeAlias = Sequence[PosedScans]
@@ -302,10 +301,11 @@ def enclose_clouds(drive: Drive, ground: Ground) -> CellBox | None:
 def list_cloud_concerns(
     some: Mapping[str, Clouds], drive: Drive, ground: Ground | None
 ) -> Iterator[Doubt]:
-    """List what some clouds say against mounts and poses, and if they show the robot."""
+    """List what some clouds say against mounts and poses."""
     poser, options = drive.poser, drive.options
     yield from poser.suspect_axes(ground)
-    for topic, clouds in sorted(some.items()):
+    for topic, every in sorted(some.items()):
+        clouds = [drive.drop_own(posed) for posed in every]
         is_known = poser.sources.lidar is not None  # what the floor tells comes after it
         mount = None if is_known else mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
         wrong = mount and find_misplaced(mount, clouds)
@@ -315,8 +315,6 @@ def list_cloud_concerns(
             yield topic, wrong
         if ground is None:
             continue
-        if body := find_robot(clouds, ground, options):
-            yield topic, warn_of_body(body)
         if not wrong and not is_known:  # which would be a reason for all that follows
             conflicts = [Concern(text) for text in list_conflicts(clouds, ground, options)]
             turned = mount and conflicts and find_turned(mount, clouds, options)
@@ -356,12 +354,6 @@ def find_tilted(
     return Concern(f"{found}: its mount is wrong by that", mended)
 
 
-SEEN_M = 10.0
-BEARINGS, OWN_SPREAD_M = 180, 0.1
-"""Of a turn, in which clouds are looked through for the robot: the nearest of its points in each
-keeps its range less well than a beam does (m)"""
-
-
 def find_leaning(clouds: Clouds, ground: Ground, options: BuildOptions) -> Iterator[Concern]:
     """Say if the poses' up is wrong by a small angle, or sways."""
     # What is left of a drift looks alike.
@@ -385,52 +377,6 @@ def list_conflicts(clouds: Clouds, ground: Ground, options: BuildOptions) -> lis
             engine.add(posed)
         found += list_contradictions(count_steady(engine.finish().tiles), {})
     return found
-
-
-def find_robot(clouds: Clouds, ground: Ground, options: BuildOptions) -> Box | None:
-    """Find a box around all of the robot in clouds (m); farther parts show once nearer ones go."""
-    body: Box | None = None
-    while True:
-        seen = [(posed, see_around(posed, ground, options)) for posed in clouds]
-        found = find_body(seen, (-math.pi, math.tau / BEARINGS, BEARINGS), OWN_SPREAD_M)
-        if found and body:
-            x_min, y_min, x_max, y_max = zip(found, body, strict=True)
-            found = min(x_min), min(y_min), max(x_max), max(y_max)
-        if not found or found == body:
-            return body and widen(body)
-        body = found
-        clouds = [
-            drop_own_points(each, replace(options.returns, footprint=body)) for each in clouds
-        ]
-
-
-def widen(body: Box) -> Box:
-    """Let a box around the robot (m) hold parts that a few beams meet now and then, too."""
-    edges = np.array(body) + OWN_SPREAD_M / 2 * np.array([-1, -1, 1, 1])
-    x_min, y_min, x_max, y_max = np.round(edges, 2).tolist()
-    return x_min, y_min, x_max, y_max
-
-
-def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
-    """(S, 180) how far obstacles are by their bearing in the sensor's frame, up to 10 m."""
-    ranges = np.full((len(posed.batch.stamp_ns), BEARINGS), NO_HIT_M)
-    if posed.origin is not None:  # nothing is known of how the sensor saw them
-        return ranges
-    clouds = zip(posed.batch.clouds or (), *posed.at_first_beam, ranges, strict=True)
-    for cloud, position, rotation, nearest in clouds:
-        with np.errstate(invalid="ignore"):  # where a log is damaged they are of any bits
-            points = cloud.points[:, :3].astype(np.float64)
-        distance = np.hypot(points[:, 0], points[:, 1])
-        is_near = (distance > options.returns.min_range) & (distance < SEEN_M)
-        is_near &= np.abs(points[:, 2]) < SEEN_M
-        points, distance = points[is_near], distance[is_near]
-        place = points @ rotation.T + position
-        height = place[:, 2] - ground.find_heights(place)
-        stands = (height >= options.clouds.min_height) & (height < options.clouds.max_height)
-        bearing = np.arctan2(points[:, 1], points[:, 0]) + math.pi
-        beam = (bearing * (BEARINGS / math.tau)).astype(np.int64) % BEARINGS
-        np.minimum.at(nearest, beam[stands], distance[stands])
-    return ranges
 
 
 def warn_of_body(body: Box) -> Concern:

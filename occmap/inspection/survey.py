@@ -247,9 +247,7 @@ def find_body_in_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> 
     return next(filter(None, (find_body(scans, form) for form, scans in seen.items())), None)
 
 
-def find_body(
-    seen: Sequence[tuple[PosedScans, Float64]], form: Form, spread: float = OWN_SPREAD_M
-) -> Box | None:
+def find_body(seen: Sequence[tuple[PosedScans, Float64]], form: Form) -> Box | None:
     """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
 
     It is in the sensor's frame (m); None where there is no such thing.
@@ -258,8 +256,6 @@ def find_body(
     ----------
     seen
         Scans of one form, and their ranges (S, B), NO_HIT_M where there is no hit.
-    spread
-        Parts of the robot keep their range so well (m).
     """
     scans, measured = zip(*seen, strict=True)
     position, rotation = map(np.concatenate, zip(*(it.at_first_beam for it in scans), strict=True))
@@ -269,7 +265,7 @@ def find_body(
     if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
-    stays = (np.abs(ranges - middle) <= spread).mean(axis=0) >= OWN_SHARE
+    stays = (np.abs(ranges - middle) <= OWN_SPREAD_M).mean(axis=0) >= OWN_SHARE
     own = stays & (middle < OWN_RANGE_M)
     if own.sum() < MIN_OWN_BEAMS:
         return None

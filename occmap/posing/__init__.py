@@ -10,7 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple, TypeAlias, TypeVar
 
-from occmap.choices import ABOVE_ZERO, DRIFT, MOUNT, PLACE, TILT, TRANSFORM, check_bounds, option
+from occmap.choices import ABOVE_ZERO, FOUND, MOUNT, PLACE, TILT, TRANSFORM, check_bounds, option
 from occmap.errors import require
 from occmap.types import Pose, PoseSample, Recorded
 
@@ -189,7 +189,7 @@ class PosingOptions:
         "again, correct their heights (on), or leave them (off).",
         metavar="on|off",
         none=("on", "to correct them"),
-        form=DRIFT,
+        form=FOUND,
     )
 
     def __post_init__(self) -> None:

@@ -25,6 +25,7 @@ from occmap.report import Note, join_names
 from occmap.scans import encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import Tally
+from occmap.sensor import place_voxels
 from occmap.threads import Threads
 from occmap.types import BLOCK_BITS, COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64
 
@@ -117,7 +118,7 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
     held. Of a street that climbs the walls stand upright, and it stays as it is.
     """
     level = 0.0, 0.0
-    found = keep_drifts(counted, options, derive_ground(counted, options.clouds)[0])
+    found = keep_found(counted, options, derive_ground(counted, options.clouds)[0])
     if options.posing.level is not None:
         return found
     place = place_logs(options.posing)
@@ -137,7 +138,7 @@ def level_ground(count: Count, counted: Counted, options: BuildOptions) -> Build
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
         counted = count(laid, None)
-        found = keep_drifts(counted, laid, derive_ground(counted, options.clouds)[0])
+        found = keep_found(counted, laid, derive_ground(counted, options.clouds)[0])
     if any(level):
         found.notes.append(
             f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "
@@ -205,12 +206,12 @@ def extend_ground(counted: Counted, options: BuildOptions, known: Ground) -> Bui
             with name_log(join_names(logs)):
                 refuse_other(rise, OTHER_SHARE, options.posing.transform or IDENTITY, fix)
     ground = known if is_whole else derive_ground(counted, options.clouds, known)[0]
-    found = keep_drifts(counted, options, ground)
+    found = keep_found(counted, options, ground)
     return found._replace(notes=[*notes, *found.notes])
 
 
-def keep_drifts(counted: Counted, options: BuildOptions, ground: Ground) -> BuildGround:
-    """Keep by what heights were corrected while clouds were counted, and say so."""
+def keep_found(counted: Counted, options: BuildOptions, ground: Ground) -> BuildGround:
+    """Keep by what heights were corrected, and what was left out, and say so."""
     notes: list[str] = [
         Note(
             f"heights of poses drift by {measure_drift(drift):.2f} m, as the floor shows where the "
@@ -220,6 +221,17 @@ def keep_drifts(counted: Counted, options: BuildOptions, ground: Ground) -> Buil
     ]
     if counted.drifts:
         options = replace(options, posing=replace(options.posing, height_drift=counted.drifts))
+    for (log, topic, _), body in counted.bodies.items():
+        metres = np.linalg.norm(place_voxels(np.array(body)), axis=1)
+        notes.append(
+            Note(
+                f"what stays at one place around the sensor of {topic} wherever it goes, "
+                f"{metres.min():.1f} to {metres.max():.1f} m from it, is left out: it is the robot "
+                "itself, or who leads it; `own_points=off` keeps it"
+            ).placed(log)
+        )
+    if counted.bodies:
+        options = replace(options, clouds=replace(options.clouds, own_points=counted.bodies))
     return BuildGround(ground, notes, options)
 
 
@@ -264,12 +276,13 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     """
     log, posing = str(drive.log.path), drive.options.posing
     nearest = drive.options.returns.min_range
+    places = counting.BODY_PLACES if drive.options.clouds.own_points is None else 0
     share = drive.scans / max(clouds, 1)
     views = max(math.ceil(counting.UPRIGHT_CLOUDS * share), counting.LOG_CLOUDS)
 
     def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
-            counter = Counter(clouds, log, ground, views, nearest)
+            counter = Counter(clouds, log, ground, (views, places), nearest)
             selector = Selector(drive.options, counter.wants)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
                 for posed in drive.read(Tally(), selector):

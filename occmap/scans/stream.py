@@ -224,6 +224,8 @@ class Drive:
     def __init__(self, log: Log, poser: Poser, options: BuildOptions) -> None:
         self.log, self.poser, self.options = log, poser, options
         poser.drift = (options.posing.height_drift or {}).get(str(log.path))
+        self.bodies = options.clouds.own_points or {}
+        """Where the robot itself is around a sensor"""
         self.topics = choose_topics(log, options.selection.topics)
         self.scans = count_scans(log, self.topics)
         """How many the log has on these topics"""
@@ -293,7 +295,7 @@ class Drive:
             if oddity := find_oddity(batch):
                 self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
-                yield drop_own_points(posed, self.options.returns) if batch.clouds else posed
+                yield self.drop_own(posed) if batch.clouds else posed
             tally.advance(len(batch.stamp_ns))
         tally.dropped.update(self.poser.count_lost())
         tally.frames[str(self.log.path)] = self.poser.fixed
@@ -301,6 +303,11 @@ class Drive:
         tally.scans_read += selector.read
         tally.dropped.update(selector.left_out)
         self._first_ns = selector.first_ns or 0
+
+    def drop_own(self, posed: PosedScans) -> PosedScans:
+        """Make no returns of the points of clouds that are the robot's own."""
+        body = self.bodies.get((str(self.log.path), posed.batch.topic, posed.batch.frame), ())
+        return drop_own_points(posed, self.options.returns, body)
 
     def list_doubts(self) -> Iterator[Doubt]:
         """Say of which topics angles are odd, and where ranges or places can hardly be metres."""

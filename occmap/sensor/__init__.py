@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
+from itertools import product
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -21,12 +22,30 @@ from numpy.typing import NDArray
 from occmap.cells import Box
 from occmap.choices import ABOVE_ZERO, SECTOR, check_bounds, make_box_form, option
 from occmap.errors import require
-from occmap.types import Bool, Float32, Float64, Kind, PosedScans, Rays, Scan, ScanBatch, UInt8
+from occmap.types import (
+    Bool,
+    Float32,
+    Float64,
+    Int32,
+    Kind,
+    PosedScans,
+    Rays,
+    Scan,
+    ScanBatch,
+    UInt8,
+)
 from occmap.values import as_float32
 
 Sector: TypeAlias = tuple[float, float]
 """From one bearing counter-clockwise to another (rad)."""
 Places: TypeAlias = NDArray[np.floating[Any]]
+
+Sensor: TypeAlias = tuple[str, str, str]
+"""A log, a topic and a frame, which is "" where clouds are in the map already"""
+Voxels: TypeAlias = tuple[int, ...]
+"""Numbers of cubes around a sensor"""
+AROUND_M, SIDE, OUTSIDE = 2.5, 50, -1
+"""These fill a cube up to so far on each side of it, with so many of them along an edge"""
 
 EDGE_RAD = 1e-6
 """A beam on the edge of a sector is inside, whatever its bearing was rounded to."""
@@ -222,13 +241,39 @@ def find_within(x: Places, y: Places, box: Box) -> Bool:
     return np.asarray((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
 
 
-def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
+def number_voxels(points: Float32) -> Int32:
+    """Number the voxels in which points (N, 3; m, as the sensor sees them) lie, or `OUTSIDE`."""
+    x, y, z = points.T
+    near = (np.abs(x) < AROUND_M) & (np.abs(y) < AROUND_M) & (np.abs(z) < AROUND_M)
+    near &= (x != 0) | (y != 0) | (z != 0)  # which is no return
+    voxel = np.full(len(points), OUTSIDE, np.int32)
+    x, y, z = ((points[near].T + AROUND_M) * (SIDE / 2 / AROUND_M)).astype(np.int32)
+    voxel[near] = (z * SIDE + y) * SIDE + x
+    return voxel
+
+
+def place_voxels(voxels: Int32) -> Float64:
+    """(V, 3) the middles of voxels (m)."""
+    z, y, x = np.unravel_index(voxels, (SIDE, SIDE, SIDE))
+    return np.asarray((np.stack([x, y, z], axis=1) + 0.5) * (2 * AROUND_M / SIDE) - AROUND_M)
+
+
+def drop_own_points(posed: PosedScans, options: ReturnOptions, body: Voxels = ()) -> PosedScans:
     """Make no returns of the points of clouds that are the robot's own or blocked by it.
 
     Nothing is known of how the sensor saw points that are in the map's frame already: they stay.
+
+    Parameters
+    ----------
+    body
+        Where the robot is; points in voxels beside these are its own, too.
     """
-    if not (options.footprint or options.ignore_sectors) or posed.origin is not None:
+    if not (options.footprint or options.ignore_sectors or body) or posed.origin is not None:
         return posed
+    of_body = np.zeros((SIDE + 2,) * 3, np.bool_)
+    for way in product(range(3), repeat=3):
+        of_body[tuple(np.add(np.unravel_index(body, (SIDE,) * 3), [[step] for step in way]))] = True
+    is_body = np.append(of_body[1:-1, 1:-1, 1:-1], False)  # the last is of those outside
     clouds = []
     for cloud in posed.batch.clouds or ():
         points = cloud.points.copy()
@@ -236,6 +281,7 @@ def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
         own = find_inside(np.arctan2(y, x), options.ignore_sectors)
         if options.footprint is not None:
             own |= find_within(x, y, options.footprint)
+        own |= is_body[number_voxels(points[:, :3])]
         points[own] = 0
         clouds.append(cloud._replace(points=points))
     return replace(posed, batch=replace(posed.batch, clouds=tuple(clouds)))

@@ -1,17 +1,29 @@
 """What clouds say against their own map: that they contradict each other, or show the robot."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from occmap.clouds.counting import count_clouds
 from occmap.evidence import count_steady, list_contradictions
-from occmap.inspection.poses import see_around
-from occmap.options import BuildOptions
 from occmap.posing.tracks import rotate_by, to_quaternions
+from occmap.sensor import ReturnOptions, drop_own_points
+from occmap.types import Float64
 from tests.cli.runner import ask, occmap
-from tests.clouds.simulation import HALL, Room, drive, find_ground, turn, write_leaning
+from tests.clouds.simulation import (
+    HALL,
+    Room,
+    Solid,
+    change_points,
+    classify,
+    drive,
+    read_points,
+    turn,
+    write_leaning,
+)
 from tests.grid.scans import make_grid
 
 
@@ -88,15 +100,47 @@ def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path
     assert model.endswith("cut=0.2,spread=0.0,ceiling=1.0,doubt=0.0,repeat_from=8.0")
 
 
-def test_a_low_ceiling_is_not_taken_for_the_robot() -> None:
-    """0.15 m above a sensor that is 2.5 m high, and no obstacle to a robot of 1.5 m."""
-    clouds = drive(Room([(3, 6, 2, 4, 2.65, 2.7)]), clouds=4, sensor_m=2.5)
-    ground = find_ground(clouds)
-    (row,) = see_around(clouds[1], ground, BuildOptions())
-    assert row.min() > 0.5
+PLATE = np.mgrid[0.2:0.5:0.03, -0.2:0.21:0.03, -0.3:-0.2:0.05].reshape(3, -1).T
+"""A part of the robot ahead of its sensor (m)"""
 
 
-def test_a_robot_that_stands_in_its_own_clouds_is_left_out_by_the_command(tmp_path: Path) -> None:
+def test_the_robot_itself_is_left_out_wherever_it_drives() -> None:
+    """It does not even turn."""
+    clouds = drive(Room([(4.0, 4.4, 4.4, 4.8, 0.0, 0.5)]))
+    seen = [change_points(it, np.concatenate([read_points(it), PLATE])) for it in clouds]
+    (body,) = count_clouds(seen).bodies.values()
+    assert len(body) < 40  # voxels of 10 cm
+    cleaned = [drop_own_points(it, ReturnOptions(), body) for it in seen]
+    for map_, of_all, other in zip(*map(classify, (cleaned, seen, clouds)), strict=True):
+        assert (map_ != other).mean() < 0.002 < (of_all != other).mean()
+    assert not count_clouds([change_points(it, PLATE) for it in clouds]).bodies
+
+
+SHELF = [(-1.0, 11.0, 3.7, 4.5, z, z + 0.02) for z in (0.0, 0.3, 0.6, 0.9)]
+
+
+@pytest.mark.parametrize(
+    ("solids", "clouds", "extra", "origin"),
+    [
+        ([(-1.0, 11.0, 3.8, 4.5, 0.0, 2.0)], 30, None, None),  # a wall that it follows
+        (SHELF, 30, None, None),
+        ([(-1.0, 11.0, 0.0, 6.0, 1.0, 1.1)], 30, None, None),  # a ceiling
+        ([], 3, PLATE, None),  # it stays where it is
+        ([], 30, PLATE, [0.0, 0.0, 0.6]),  # clouds that are in the map
+    ],
+)
+def test_what_may_be_something_else_is_not_taken_for_the_robot(
+    solids: list[Solid], clouds: int, extra: Float64 | None, origin: list[float] | None
+) -> None:
+    seen = drive(Room(solids), clouds=clouds)
+    if extra is not None:
+        seen = [change_points(it, np.concatenate([read_points(it), extra])) for it in seen]
+    if origin is not None:
+        seen = [replace(it, origin=it.position) for it in seen]
+    assert not count_clouds(seen).bodies
+
+
+def test_a_build_leaves_the_robot_out_and_says_so(tmp_path: Path) -> None:
     """It drives round a pillar, with a plate 0.3 m ahead of it; the next hides a wider one."""
     x, y = (axis.ravel() for axis in np.mgrid[-6:6.05:0.15, -6:6.05:0.15])
     floor = np.column_stack([x, y, np.full(x.size, -0.6)])
@@ -116,9 +160,15 @@ def test_a_robot_that_stands_in_its_own_clouds_is_left_out_by_the_command(tmp_pa
         lines.append(f"{number} {at[0]} {at[1]} 0.6 0 0 {z} {w}\n")
     (tmp_path / "way.tum").write_text("".join(lines))
     words = clouds, "--poses", tmp_path / "way.tum"
-    told, found = ("the robot is in its own scans", "that the sensor itself"), ask("check", *words)
-    assert all(text in str(found) for text in told)
-    box = found["command"][found["command"].index("--footprint") + 1]
-    assert list(map(float, box.split(","))) == pytest.approx([0.2, -0.25, 0.57, 0.25], abs=0.03)
-    mended = str(ask("check", *words, "--footprint", box))
-    assert not any(text in mended for text in told)
+
+    told = [str(ask("build", *words, "-o", tmp_path / "map.npz"))]
+    told.append(str(ask("check", *words)))
+    told.append(str(ask("build", *words, "-o", tmp_path / "own.npz", "--own-points", "off")))
+
+    assert ["it is the robot itself" in each for each in told] == [True, True, False]
+    assert ["that the sensor itself" in each for each in told] == [False, False, True]
+    for name, is_hit in (("map.npz", False), ("own.npz", True)):
+        found = ask("explain", tmp_path / name, "3.02", "0.02", "--log", *words)
+        hits = sum(scan["seen"]["hits"] for scan in found["scans"])
+        assert (found["seen"]["hits"] > 0) == is_hit
+        assert hits == found["seen"]["hits"]

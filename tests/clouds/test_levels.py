@@ -135,7 +135,7 @@ def test_views_and_ground_of_several_logs_do_not_depend_on_any_order() -> None:
     clouds = wait(lean(drive(Room()), turn(3, 0, 0)))
     found = []
     for order in slice(None), slice(None, None, -1):
-        counters = [Counter(len(clouds), log, views=4) for log in "ab"]
+        counters = [Counter(len(clouds), log, kept=(4, 0)) for log in "ab"]
         for each in clouds[order]:
             counters[each.batch.stamp_ns[0] % 2].add(each)
         found.append(join_counted([it.count() for it in counters][order]))
