@@ -53,6 +53,7 @@ GIVEN: dict[str, dict[str, tuple[Any, Any]]] = {
         "range_margin": (0, 0.0),
         "ground": ("flat", "flat"),
         "sensor_height": (1, 1.0),
+        "own_points": ("off", {}),
     },
     "posing": {
         "poses": (Path("poses.tum"), "poses.tum"),

@@ -13,7 +13,7 @@ import numpy as np
 from occmap.cells import Ground
 from occmap.clouds import draw
 from occmap.clouds.kernels import heights
-from occmap.clouds.kernels.heights import Cloud, Histogram, list_clouds
+from occmap.clouds.kernels.heights import Cloud, Histogram, Tables, list_clouds
 from occmap.clouds.kernels.laying import lay_cloud, lay_columns
 from occmap.posing import Drift
 from occmap.sensor import AROUND_M, OUTSIDE, SIDE, Sensor, Voxels, number_voxels, place_voxels
@@ -34,7 +34,7 @@ PLACE_MM, AREA_MM = 1000, 30_000
 """Clouds of one square see walls alike, so one of them is enough; those of one area see the same"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
-FEWEST_PLACES, BODY_PLACES, BODY_MM = 8, 50, 500
+FEWEST_PLACES, BODY_PLACES, BODY_MM = 8, 32, 500
 """The robot itself shows in clouds of so many places of its way at least, so many are enough, and
 such squares are a place"""
 FILLED_SHARE = 0.6
@@ -112,7 +112,7 @@ class Counter:
         self._floor = ground and lay_columns(ground)
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         # Points around a sensor may be the robot itself: they have tables of their own.
-        self._idle: defaultdict[Sensor | None, list[Histogram]] = defaultdict(list)
+        self._idle: defaultdict[Sensor, list[Tables]] = defaultdict(list)
         self._places: defaultdict[Sensor, dict[Drawn, tuple[View, Place]]] = defaultdict(dict)
         self._ways: defaultdict[Sensor, list[tuple[int, int, int, int]]] = defaultdict(list)
         """Where each sensor was (mm), and when (ns)"""
@@ -127,39 +127,36 @@ class Counter:
     def add(self, posed: PosedScans) -> None:
         """Count the points of some clouds."""
         sensor = self._log, posed.batch.topic, posed.batch.frame if posed.origin is None else ""
-        for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
-            laid = lay_cloud(cloud, self._floor) if self._floor else cloud
-            if self._most_places and posed.origin is None:
-                laid = self._count_around(sensor, stamp_ns, laid)
-            self._count(laid, None)
-            self._see(sensor, stamp_ns, cloud)
-
-    def _count_around(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> Cloud:
-        """Count the points around a sensor apart, and give the cloud of the others."""
-        voxel = number_voxels(cloud.points.reshape(-1, 3))
-        is_near = voxel != OUTSIDE
-        x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
-        square = draw((x // BODY_MM << 32) + y // BODY_MM)
-        place = np.unique(voxel[is_near]), cloud.poses[len(cloud.poses) // 2]
+        is_looked = self._most_places > 0 and posed.origin is None
+        nearest = self._nearest, AROUND_M if is_looked else 0.0
         with self._lock:
-            seen = (stamp_ns, *sensor, x, y, z), place
-            keep_view(self._places[sensor], (square, 0.0), seen, self._most_places)
-        if not is_near.any():
-            return cloud
-        self._count(take_points(cloud, is_near), sensor)
-        return take_points(cloud, ~is_near)
-
-    def _count(self, cloud: Cloud, around: Sensor | None) -> None:
-        """Count points in the tables of those around a sensor, or of those far from any."""
-        with self._lock:
-            idle = self._idle[around]
-            table = idle.pop() if idle else make_table(FIRST_SIZE)
+            idle = self._idle[sensor]
+            tables = idle.pop() if idle else (make_table(FIRST_SIZE), make_table(FIRST_SIZE))
         room = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
-        start, points = 0, len(cloud.points) // 3
-        while (start := heights.count_heights(cloud, table, start, self._nearest, room)) < points:
-            table = grow_table(table)
+        for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
+            start, points = 0, len(cloud.points) // 3
+            laid = lay_cloud(cloud, self._floor) if self._floor else cloud
+            while (start := heights.count_heights(laid, tables, start, nearest, room)) < points:
+                tables = grow_table(tables[0]), grow_table(tables[1])
+            if is_looked:
+                self._look_around(sensor, stamp_ns, laid)
+            self._see(sensor, stamp_ns, cloud)
         with self._lock:
-            idle.append(table)
+            idle.append(tables)
+
+    def _look_around(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
+        """Keep which voxels around its sensor a cloud fills, if it is the first of its place."""
+        x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
+        square = draw((x // BODY_MM << 32) + y // BODY_MM), 0.0
+        places, view = self._places[sensor], (stamp_ns, *sensor, x, y, z)
+        with self._lock:
+            is_kept = would_keep(places, square, view, self._most_places)
+        if is_kept:
+            voxel = number_voxels(cloud.points.reshape(-1, 3))
+            filled = np.unique(voxel[voxel != OUTSIDE])
+            seen = view, (filled, cloud.poses[len(cloud.poses) // 2])
+            with self._lock:
+                keep_view(places, square, seen, self._most_places)
 
     def _see(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
         """Keep where a cloud was made, and the cloud if it may show whether walls stand upright."""
@@ -174,13 +171,14 @@ class Counter:
         """Give what was counted."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
         views = {drawn: (view, sample_points(it)) for drawn, (view, it) in self._views.items()}
-        far, bodies = add_tables(self._idle.pop(None, [])), dict[Sensor, Voxels]()
+        every = [(sensor, tables) for sensor, idle in self._idle.items() for tables in idle]
+        far, bodies = add_tables(far for _, (far, _) in every), dict[Sensor, Voxels]()
         for sensor, places in sorted(self._places.items()):
             seen = [place for _, (_, place) in sorted(places.items())]
             if body := find_body(far, paths[sensor], seen):
                 bodies[sensor] = body
-        others = (each for sensor in self._idle.keys() - bodies for each in self._idle[sensor])
-        return Counted(add_tables([far, *others]), paths, views, {}, bodies)
+        around = (around for sensor, (_, around) in every if sensor not in bodies)
+        return Counted(add_tables([far, *around]), paths, views, {}, bodies)
 
     @property
     def way(self) -> Int64:
@@ -217,13 +215,6 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
     return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts, bodies)
 
 
-def take_points(cloud: Cloud, some: Bool) -> Cloud:
-    """Take some points (N,) of a cloud."""
-    points = cloud.points.reshape(-1, 3)[some].reshape(-1)
-    which = cloud.which[some] if cloud.which.size else cloud.which
-    return cloud._replace(points=points, which=which)
-
-
 def find_body(far: Histogram, way: Int64, places: Sequence[Place]) -> Voxels:
     """Find where the robot itself is around a sensor.
 
@@ -245,9 +236,11 @@ def find_body(far: Histogram, way: Int64, places: Sequence[Place]) -> Voxels:
         return ()
     there = np.einsum("pij,vj->vpi", poses[:, :, :3], place_voxels(voxels)) + poses[:, :, 3]
     # Higher up no points are counted that are not far away.
-    low = (there[..., 2] - poses[:, 2, 3] <= heights.RISE * AROUND_M).all(axis=1)
-    known, met = (each.sum(axis=1) for each in look_up(far, there[low]))
-    own = np.flatnonzero(low)[(known >= KNOWN_SHARE * len(places)) & (met <= MET_SHARE * known)]
+    own = (there[..., 2] - poses[:, 2, 3] <= heights.RISE * AROUND_M).all(axis=1)
+    few = there[own, :FEWEST_PLACES]  # which are enough for most of the floor
+    own[own] = look_up(far, few)[1].sum(axis=1) <= MET_SHARE * len(places)
+    known, met = (each.sum(axis=1) for each in look_up(far, there[own]))
+    own[own] = (known >= KNOWN_SHARE * len(places)) & (met <= MET_SHARE * known)
     steps = np.array([*product((-1, 0, 1), repeat=2)])
     went = way[:, None, :2] // WAY_MM + steps
     is_at = np.rint(there[own, :, :2] * 1000).astype(np.int64) // WAY_MM
@@ -280,6 +273,15 @@ def look_up(table: Histogram, places: Float64) -> tuple[Bool, Bool]:
     return is_known, is_met
 
 
+def would_keep(
+    views: Mapping[Drawn, tuple[View, Kept]], drawn: Drawn, view: View, most: int
+) -> bool:
+    """Say if `keep_view` keeps a view, by those that there are."""
+    if drawn in views:
+        return view < views[drawn][0]
+    return len(views) < most or drawn < max(views)
+
+
 def keep_view(
     views: dict[Drawn, tuple[View, Kept]], drawn: Drawn, seen: tuple[View, Kept], most: int
 ) -> None:
@@ -307,7 +309,9 @@ def make_table(size: int) -> Histogram:
 
 
 def grow_table(table: Histogram) -> Histogram:
-    """Copy a table to one with room for twice as much."""
+    """Copy a table that is nearly full to one with room for twice as much."""
+    if table.used[0] + heights.SOME <= len(table.keys):
+        return table
     grown = make_table(2 * len(table.slots))
     heights.add_histogram(table, grown, 0)
     return grown

@@ -45,7 +45,7 @@ Sensor: TypeAlias = tuple[str, str, str]
 Voxels: TypeAlias = tuple[int, ...]
 """Numbers of cubes around a sensor"""
 AROUND_M, SIDE, OUTSIDE = 2.5, 50, -1
-"""These fill a cube up to so far on each side of it, with so many of them along an edge"""
+"""These fill a ball around it, in a cube with so many of them along an edge"""
 
 EDGE_RAD = 1e-6
 """A beam on the edge of a sector is inside, whatever its bearing was rounded to."""
@@ -243,11 +243,11 @@ def find_within(x: Places, y: Places, box: Box) -> Bool:
 
 def number_voxels(points: Float32) -> Int32:
     """Number the voxels in which points (N, 3; m, as the sensor sees them) lie, or `OUTSIDE`."""
-    x, y, z = points.T
-    near = (np.abs(x) < AROUND_M) & (np.abs(y) < AROUND_M) & (np.abs(z) < AROUND_M)
-    near &= (x != 0) | (y != 0) | (z != 0)  # which is no return
+    x, y, z = np.ascontiguousarray(points.T)
+    square = x * x + y * y + z * z
+    near = (square > 0) & (square < AROUND_M * AROUND_M)  # 0 is no return
     voxel = np.full(len(points), OUTSIDE, np.int32)
-    x, y, z = ((points[near].T + AROUND_M) * (SIDE / 2 / AROUND_M)).astype(np.int32)
+    x, y, z = (((it[near] + AROUND_M) * (SIDE / 2 / AROUND_M)).astype(np.int32) for it in (x, y, z))
     voxel[near] = (z * SIDE + y) * SIDE + x
     return voxel
 

@@ -50,7 +50,7 @@ def count_points(points: int) -> heights.Histogram:
     table, cloud = make_table(4 * SOME), np.tile(np.array([1, 0, -1], np.float32), points)
     posed = heights.Cloud(cloud, heights.ALL_AT_ONCE, np.eye(4)[None, :3], np.zeros(3))
     room = np.empty((3, SOME)), np.empty((2, SOME), np.int64)
-    assert heights.count_heights(posed, table, 0, 0.0, room) >= points
+    assert heights.count_heights(posed, (table, table), 0, (0.0, 0.0), room) >= points
     return table
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from occmap.cells import Evidence
 from occmap.choices import read_options
+from occmap.clouds import CloudOptions
 from occmap.errors import LogError, MapError, PoseError
 from occmap.evidence import find_lasting, render
 from occmap.evidence.manifest import UNRECORDED, describe_build, list_logs
@@ -407,7 +408,8 @@ def test_every_choice_comes_back() -> None:
     for update, stamps, deskew, no_return in product(Update, Stamps, Deskew, NoReturn):
         posing = PosingOptions(stamps=stamps, deskew=deskew, height_drift={})
         returns = ReturnOptions(no_return=no_return)
-        options = BuildOptions(update=update, posing=posing, returns=returns)
+        clouds = CloudOptions(own_points={})
+        options = BuildOptions(update=update, posing=posing, returns=returns, clouds=clouds)
         again = recall_options(write_down(options), "m.npz")
         assert again == options
         assert isinstance(again.posing.stamps, Stamps)

@@ -1,7 +1,7 @@
 """Clouds as kernels take them, heights of their points in columns, and the peaks among these."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -63,6 +63,11 @@ class Histogram(NamedTuple):
     """(K / 2, 16) points in each of their bins, at most `MOST_POINTS`"""
     used: Int64
     """(1,) how many pieces there are"""
+
+
+Tables: TypeAlias = tuple[Histogram, Histogram]
+Room: TypeAlias = tuple[Float64, Int64]
+"""(3, `SOME`) and (2, `SOME`) to work with"""
 
 
 class Pieces(NamedTuple):
@@ -138,31 +143,38 @@ def place_points(cloud: Cloud, start: int, place: Float64) -> int:
 
 @kernel
 def count_heights(
-    cloud: Cloud, table: Histogram, start: int, nearest: float, room: tuple[Float64, Int64]
+    cloud: Cloud, tables: Tables, start: int, nearest: tuple[float, float], room: Room
 ) -> int:
-    """Count the heights of the points from `start` on; return where the table was full.
+    """Count the heights of the points from `start` on; return where a table was full.
 
     Parameters
     ----------
+    tables
+        For what is far from the sensor, and for what is around it.
     nearest
-        What lies nearer to the sensor, on the map, is not counted (m): it may be the robot itself.
-    room
-        (3, `SOME`) and (2, `SOME`) to work with.
+        What lies nearer to the sensor, on the map, is not counted, or is around it (m).
     """
-    place, listed = room
+    (place, listed), (far, around) = room, tables
     while 3 * start < cloud.points.size:
-        if table.used[0] + SOME > len(table.keys):
+        if max(far.used[0] - len(far.keys), around.used[0] - len(around.keys)) + SOME > 0:
             return start
         size = place_points(cloud, start, place)
-        many = list_heights(place, size, cloud.origin, nearest, listed)
-        # Loops of their own, so that a processor waits for many places in memory at once.
-        for i in range(many):
-            listed[0, i] = find_piece(table, listed[0, i])
-        for i in range(many):
-            points = int(table.counts[listed[0, i], listed[1, i]])
-            table.counts[listed[0, i], listed[1, i]] = min(points + 1, MOST_POINTS)
+        many, few = list_heights(place, size, cloud.origin, nearest, listed)
+        count_listed(far, listed[:, :many])
+        count_listed(around, listed[:, SOME - few :])
         start += size
     return start
+
+
+@step
+def count_listed(table: Histogram, listed: Int64) -> None:
+    """Count points by their pieces of columns, and the bins of these."""
+    # Loops of their own, so that a processor waits for many places in memory at once.
+    for i in range(listed.shape[1]):
+        listed[0, i] = find_piece(table, listed[0, i])
+    for i in range(listed.shape[1]):
+        points = int(table.counts[listed[0, i], listed[1, i]])
+        table.counts[listed[0, i], listed[1, i]] = min(points + 1, MOST_POINTS)
 
 
 @step
@@ -172,21 +184,28 @@ def round_mm(metres: float) -> int:
 
 
 @step
-def list_heights(place: Float64, size: int, origin: Float64, nearest: float, listed: Int64) -> int:
-    """List the pieces of columns, and the bins of these, in which points lie; return how many."""
-    many = 0
+def list_heights(
+    place: Float64, size: int, origin: Float64, nearest: tuple[float, float], listed: Int64
+) -> tuple[int, int]:
+    """List the pieces of columns, and the bins of these, in which points lie; return how many.
+
+    Points around the sensor are listed from the end on.
+    """
+    many, few = 0, 0
     for i in range(size):
         x, y, z = place[0, i], place[1, i], place[2, i]
         away_x, away_y, rise = x - origin[0], y - origin[1], z - origin[2]
         distance = np.sqrt(away_x * away_x + away_y * away_y)
         reach = RISE * distance
-        if nearest <= distance < FAR_M and -DEEPEST_M - reach <= rise <= reach:
+        if nearest[0] <= distance < FAR_M and -DEEPEST_M - reach <= rise <= reach:
             row, col = round_mm(y) // COLUMN_MM, round_mm(x) // COLUMN_MM
             height = round_mm(z) // BIN_MM
-            listed[0, many] = pack(row, col, height >> 4)
-            listed[1, many] = height & 15
-            many += 1
-    return many
+            is_far = distance >= nearest[1]
+            many, few = many + is_far, few + (not is_far)
+            at = many - 1 if is_far else SOME - few
+            listed[0, at] = pack(row, col, height >> 4)
+            listed[1, at] = height & 15
+    return many, few
 
 
 @kernel
