@@ -44,7 +44,7 @@ Sensor: TypeAlias = tuple[str, str, str]
 """A log, a topic and a frame, which is "" where clouds are in the map already"""
 Voxels: TypeAlias = tuple[int, ...]
 """Numbers of cubes around a sensor"""
-AROUND_M, SIDE, OUTSIDE = 2.5, 50, -1
+AROUND_M, SIDE, OUTSIDE = 2.5, 50, -(10**6)
 """These fill a ball around it, in a cube with so many of them along an edge"""
 
 EDGE_RAD = 1e-6
@@ -244,7 +244,8 @@ def find_within(x: Places, y: Places, box: Box) -> Bool:
 def number_voxels(points: Float32) -> Int32:
     """Number the voxels in which points (N, 3; m, as the sensor sees them) lie, or `OUTSIDE`."""
     x, y, z = np.ascontiguousarray(points.T)
-    square = x * x + y * y + z * z
+    with np.errstate(over="ignore"):  # where a log is damaged they are of any bits
+        square = x * x + y * y + z * z
     near = (square > 0) & (square < AROUND_M * AROUND_M)  # 0 is no return
     voxel = np.full(len(points), OUTSIDE, np.int32)
     x, y, z = (((it[near] + AROUND_M) * (SIDE / 2 / AROUND_M)).astype(np.int32) for it in (x, y, z))
@@ -270,18 +271,17 @@ def drop_own_points(posed: PosedScans, options: ReturnOptions, body: Voxels = ()
     """
     if not (options.footprint or options.ignore_sectors or body) or posed.origin is not None:
         return posed
-    of_body = np.zeros((SIDE + 2,) * 3, np.bool_)
-    for way in product(range(3), repeat=3):
-        of_body[tuple(np.add(np.unravel_index(body, (SIDE,) * 3), [[step] for step in way]))] = True
-    is_body = np.append(of_body[1:-1, 1:-1, 1:-1], False)  # the last is of those outside
+    steps = np.array([*product((-1, 0, 1), repeat=3)]) @ [SIDE * SIDE, SIDE, 1]
+    of_body = np.add.outer(np.array(body, np.int64), steps)
     clouds = []
     for cloud in posed.batch.clouds or ():
         points = cloud.points.copy()
         x, y = points[:, :2].T.astype(np.float64)
-        own = find_inside(np.arctan2(y, x), options.ignore_sectors)
+        own = np.isin(number_voxels(points[:, :3]), of_body)
+        if options.ignore_sectors:
+            own |= find_inside(np.arctan2(y, x), options.ignore_sectors)
         if options.footprint is not None:
             own |= find_within(x, y, options.footprint)
-        own |= is_body[number_voxels(points[:, :3])]
         points[own] = 0
         clouds.append(cloud._replace(points=points))
     return replace(posed, batch=replace(posed.batch, clouds=tuple(clouds)))

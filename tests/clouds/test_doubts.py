@@ -100,7 +100,7 @@ def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path
     assert model.endswith("cut=0.2,spread=0.0,ceiling=1.0,doubt=0.0,repeat_from=8.0")
 
 
-PLATE = np.stack(np.mgrid[0.2:0.5:0.03, -0.2:0.21:0.03, -0.3:-0.2:0.05], axis=-1).reshape(-1, 3)
+PLATE = np.mgrid[0.2:0.5:0.03, -0.2:0.21:0.03, -0.3:-0.2:0.05].reshape(3, -1).T.copy("C")
 """A part of the robot ahead of its sensor (m)"""
 
 
