@@ -1,11 +1,13 @@
 """How readers, sensor models and writers are found: through entry points, loaded on use."""
 
+import re
+import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, is_dataclass
 from difflib import get_close_matches
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, entry_points, requires
 from traceback import walk_tb
 from typing import Any, Literal, cast
 
@@ -114,8 +116,15 @@ def need_extra(extra: str, use: str, where: object = "") -> Iterator[None]:
     try:
         yield
     except ImportError:
-        fix = f"install it: pip install '.[{extra}]'"
+        fix = f"install it: {tell_install(extra)}"
         raise UsageError(f"{use}, which is not installed", where=where, fix=fix) from None
+
+
+def tell_install(extra: str) -> str:
+    """Say how to install what an extra has, wherever occmap was installed from."""
+    mark = re.compile(rf"(\S+?)\s*;.*extra == ['\"]{extra}['\"]")
+    found = filter(None, map(mark.match, requires("occmap") or ()))
+    return f"pip install {shlex.join(each[1] for each in found)}"
 
 
 def guess(word: str, known: Iterable[str]) -> str:

@@ -304,10 +304,6 @@ OTHER_FILES = {
         "a map needs the clouds of single scans, in a folder, and their poses: `poses=FILE`; of "
         "LIO-SAM, record /lio_sam/mapping/odometry: it writes poses as such a cloud",
     ),
-    b"VERTEX|EDGE|PARAMS_|FIX ": (
-        "a pose graph, whose poses have no times",
-        "let the SLAM write TUM",
-    ),
 }
 """By a pattern of how a file begins: what it is, and how to make of it what is read; "" where that
 is never"""

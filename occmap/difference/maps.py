@@ -125,6 +125,9 @@ def load_grey(path: Path, thresholds: WriteOptions) -> ClassMap:
         content = file.read(YAML_BYTES)
     meta = parse_meta(stating, parse_yaml(stating, content))
     image = path if is_image else path.parent / meta.image
+    if not image.exists():
+        found = f"names the image {meta.image}, which is not there"
+        raise MapError(found, where=stating, fix="correct its line `image:`")
     lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)\r?$", content, re.M)
     said = {name.decode(): text.decode() for name, text in lines}
     pixels = read_image(image)

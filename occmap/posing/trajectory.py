@@ -1,9 +1,10 @@
-"""Trajectory files: TUM, CSV with a header, EuRoC and KITTI.
+"""Trajectory files: TUM, CSV with a header, EuRoC, KITTI and g2o.
 
 TUM: `stamp x y z qx qy qz qw` (s). CSV: a header `stamp,x,y,yaw` or more columns (s), or what
 `rostopic echo -p` writes of poses (ns). EuRoC: lines `stamp,x,y,z,qw,qx,qy,qz`, which may go on
 (ns). KITTI: the first three rows of a matrix of 4 x 4 in each line, or all four, and the time of
-each (s) in times.txt beside it; MulRan has it (ns) before the three rows.
+each (s) in times.txt beside it; MulRan has it (ns) before the three rows. g2o: a pose graph, where
+vertices of VILENS have times (s and ns) behind their poses.
 """
 
 import re
@@ -101,6 +102,10 @@ class Table(NamedTuple):
         return values.parse_time(texts["stamp"], self.unit) if "stamp" in texts else None, numbers
 
 
+GRAPH = re.compile(r"VERTEX|EDGE|PARAMS_|FIX|PLATFORM_ID")
+NODE = re.compile(r"VERTEX_SE3:QUAT(?:_TIME)?\s+(\d+)\s+(.+)")
+"""How lines of a pose graph begin, and one that holds a pose, behind its number"""
+NODES = ("x", "y", "z", *QUATERNION, "stamp", "stamp_nsec")
 TUM = Table(("stamp", "x", "y", "z", *QUATERNION), None)
 EUROC = Table(("stamp", "x", "y", "z", "qw", "qx", "qy", "qz"), ",", values.NANOSECONDS, True)
 COUNTERS = re.compile(r"\d+\s+\d+\s+\d+")
@@ -163,6 +168,9 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     if len(lines) > 4 and COUNTERS.fullmatch(lines[0][1]):
         fives = [lines[at : at + 5] for at in range(0, len(lines), 5)]
         lines = [(each[0][0], " ".join(text for _, text in each[1:])) for each in fives]
+    if nodes := _list_nodes(lines):
+        form = Table(NODES[: len(nodes[0][1].split())], None)
+        return *_read_table(path, nodes, form, notes), False
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
     form = next(_parse_lines(path, lines[:1], partial(_find_format, headings)), TUM)
@@ -181,6 +189,18 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     if is_of_camera:
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
     return times, poses, is_of_camera
+
+
+def _list_nodes(lines: Sequence[NumberedLine]) -> list[NumberedLine]:
+    """List the poses of a pose graph of g2o, by the numbers of its vertices; none of another file.
+
+    A fixed one behind the first is what hdl_graph_slam ties that to, and no pose.
+    """
+    found = [(number, each) for number, text in lines if (each := NODE.match(text))]
+    fixed = {word for _, text in lines if text.startswith("FIX ") for word in text.split()}
+    found = sorted(found, key=lambda node: int(node[1][1]))
+    nodes = found[:1] + [(number, each) for number, each in found[1:] if each[1] not in fixed]
+    return [(number, each[2]) for number, each in nodes]
 
 
 def _read_table(
@@ -278,7 +298,9 @@ def _read_times(path: Path) -> list[int]:
     """Read the times of KITTI's poses from the file beside them."""
     beside = path.parent / TIMES
     if not beside.is_file():
-        raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
+        raise LogError(
+            "poses without times", where=path, fix=f"put {TIMES} beside it, or write TUM"
+        )
     fix, lines = "a time in seconds stands in each line", _read_rows(beside)[0]
     unit = values.guess_unit([text for _, text in lines[: values.SAMPLED_ROWS]])
     return list(_parse_lines(beside, lines, partial(values.parse_time, unit=unit), fix))
@@ -324,6 +346,8 @@ def _find_format(headings: Sequence[str], text: str) -> Table:
     headings
         The comments above it, one of which may name the columns.
     """
+    if GRAPH.match(text):
+        raise ValueError("a pose graph, whose poses have no times")
     if not NUMBER.match(text):
         return _read_header(text)
     if any("IMAGE_ID" in each for each in headings):

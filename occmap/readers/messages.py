@@ -20,6 +20,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
+from occmap.plugins import tell_install
 from occmap.readers.containers import Channel, normalise_type
 from occmap.types import Bool, Int64, Scan, ScanBatch, UInt8
 
@@ -174,7 +175,7 @@ def _make_protobuf_parser(channel: Channel) -> Parser:
     try:
         from google.protobuf import descriptor_pb2, message, message_factory  # noqa: PLC0415  extra
     except ImportError:
-        fix = "install what reads it: pip install '.[foxglove]'"
+        fix = f"install what reads it: {tell_install('foxglove')}"
         raise LogError(f"{channel.type} is written in protobuf", fix=fix) from None
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file

@@ -19,8 +19,6 @@ from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
 from occmap.grid.tiles import MAX_CELLS, EvidenceKind
 from occmap.options import BuildOptions
-from occmap.scans import list_hits
-from occmap.scans.align import sample_rays
 from occmap.scans.tracing import Observed
 from occmap.sensor.models import SensorModel
 from occmap.store.merging import (
@@ -92,6 +90,21 @@ class Walls(NamedTuple):
     def measure(self, points: Float64) -> Float32:
         """How far it is from the cells of points (N, 2) to the nearest wall (m)."""
         return self.away[self.place.find_cells(points, self.away.shape)]
+
+    def measure_between(self, points: Float64) -> Float64:
+        """How far it is from points (N, 2) to the middle of the nearest wall's cells (m).
+
+        It is interpolated between the middles of cells, so that parts of a cell count.
+        """
+        at = (points - self.place[1:]) / self.place.resolution - 0.5
+        at = np.clip(at, 0, np.array(self.away.shape[::-1]) - 1.001)
+        col, row = at.astype(np.int64).T
+        along, up = (at % 1).T
+        left, right = (
+            self.away[row, col + side] * (1 - up) + self.away[row + 1, col + side] * up
+            for side in (0, 1)
+        )
+        return np.asarray(left * (1 - along) + right * along)
 
 
 def _measure_squares(walls: Bool, side: int) -> Float32:
@@ -182,13 +195,17 @@ class _Search(NamedTuple):
     ) -> Float64:
         """Measure how near points, some of them, lie to walls; at `width` (m) they count 0.6.
 
+        Where that is less than half a cell, distances between the middles of cells count, too.
+
         Returns
         -------
         (K,) for a turn and, after it, each of some shifts (K, 2)
         """
         points = self.points[:: max(len(self.points) // most, 1)]
         moved = Transform(0.0, 0.0, yaw).move(points) + shifts[:, np.newaxis] + self.middle
-        away = self.walls.measure(moved.reshape(-1, 2)).reshape(moved.shape[:2])
+        is_fine = 0 < width < self.walls.place.resolution / 2
+        measure = self.walls.measure_between if is_fine else self.walls.measure
+        away = measure(moved.reshape(-1, 2)).reshape(moved.shape[:2])
         near = np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2)
         return np.asarray(near.mean(axis=1), np.float64)
 
@@ -245,7 +262,7 @@ def fit_logs(
     Parameters
     ----------
     observe
-        Traces the logs as options say. Of clouds, the map that they make alone is fitted.
+        Traces the logs as options say: the map that they make alone is fitted.
 
     Raises
     ------
@@ -253,17 +270,10 @@ def fit_logs(
         A log cannot be read, or it is not sure where they lie.
     """
     logs, level = ", ".join(map(str, paths)), options.posing.level
+    seen = observe(replace(options, fit=False))
     if options.update is Update.CLOUD:
-        seen = observe(replace(options, fit=False))
         level = seen.options.posing.level or (0.0, 0.0)  # not that of the evidence
-        found = match(replace(seen.evidence, where=logs), past, options.model, options.max_cells)
-    else:
-        walls = find_walls(past, options.model, options.max_cells)
-        deeper = np.float32(options.hit_offset * options.resolution)  # where a map has its hits
-        sample = sample_rays(paths, options)
-        hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
-        found = find_match(hits, walls)
-        refuse_doubt(found, logs, past.where)
+    found = match(replace(seen.evidence, where=logs), past, options.model, options.max_cells)
     placed, align = options.posing.transform, options.posing.align
     pose = add_move(placed, found.transform, align, found.lift)
     typed = f"`transform=({format_place(pose)})`"

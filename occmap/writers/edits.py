@@ -10,11 +10,13 @@ comment:
     unknown,box,1,1,2,2.5
     forbidden,polygon,4,4,6,4,6,5
 
-GeoJSON has them as polygons and lines with a property `class`, and for lines `width`.
+GeoJSON has them as polygons and lines, one by one or several in one, with a property `class`, and
+for lines `width`.
 """
 
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -46,6 +48,8 @@ class Change(StrEnum):
 
 LOG_ODDS = {Change.FREE: -30.0, Change.OCCUPIED: 30.0, Change.UNKNOWN: 0.0}
 """Beyond every threshold that a user may give"""
+DEGREES = re.compile(r"CRS:?84|EPSG:+4326")
+"""How programs name the frame of GeoJSON whose places are longitude and latitude"""
 MOST_M = 1e9
 """No corner lies farther away."""
 
@@ -178,19 +182,25 @@ def read_lines(path: Path, text: str) -> Iterator[Shape]:
 def read_features(path: Path, text: str) -> Iterator[Shape]:
     """Read the shapes of GeoJSON; raises UsageError."""
     try:
-        features = list(json.loads(text)["features"])
+        whole = json.loads(text)
+        features, frame = list(whole["features"]), json.dumps(whole.get("crs"))
     except (ValueError, LookupError, TypeError, RecursionError):
         raise UsageError("is no GeoJSON of features", where=path, fix=FORM) from None
+    if DEGREES.search(frame):
+        fix = "save it in metres of the map, without a CRS"
+        raise UsageError("holds degrees (WGS 84)", where=path, fix=fix)
     for number, feature in enumerate(features, start=1):
         try:
             said, geometry = feature["properties"], feature["geometry"]
-            kind, rings = geometry["type"].lower(), geometry["coordinates"]
-            if kind == "linestring":
-                kind, rings = "line", [rings]
-            corners = [np.array(ring, np.float64)[:, :2] for ring in rings]
-            yield make_shape(said["class"], kind, corners, said.get("width"))
+            kind, parts = geometry["type"].lower(), geometry["coordinates"]
+            for part in parts if kind.startswith("multi") else [parts]:
+                name, rings = kind.removeprefix("multi"), part
+                if name == "linestring":
+                    name, rings = "line", [part]
+                corners = [np.array(ring, np.float64)[:, :2] for ring in rings]
+                yield make_shape(said["class"], name, corners, said.get("width"))
         except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
-            found = "is no polygon or line with a property `class`"
+            found = f"{json.dumps(feature)[:100]} is no polygon or line with a property `class`"
             classes = f"`class` is {', '.join(Change)}"
             raise UsageError(found, where=f"{path}: feature {number}", fix=classes) from None
 

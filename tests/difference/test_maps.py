@@ -139,7 +139,7 @@ def test_a_threshold_that_makes_what_is_unknown_free_is_told(
             "free_thresh is 0.6, where no more than occ",
         ),
         (META + THRESHOLDS + "mode: grey\n", "mode is 'grey', where trinary, scale or raw"),
-        (META.replace("m.pgm", "x.pgm") + THRESHOLDS, "x.pgm: no such file"),
+        (META.replace("m.pgm", "x.pgm") + THRESHOLDS, "names the image x.pgm, which is not there"),
     ],
 )
 def test_a_yaml_that_does_not_do_is_one_line(tmp_path: Path, text: str, found: str) -> None:

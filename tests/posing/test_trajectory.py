@@ -36,6 +36,7 @@ EUROC = "1403636580838555648,4.5,-1.5,0.75,0.8,0,0,0.6"
 HALF = math.sqrt(0.5)
 TURN = (0, 0, 0.6, 0.8)
 FLAT = (1, 2, 0, 0, 0, 0, 1)
+NODE = "VERTEX_SE3:QUAT{} 2 4 0 0 0.6 0.8 {}\n"
 
 
 @pytest.mark.parametrize(
@@ -71,6 +72,7 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         ("stamp,time,x,y,yaw\n0,3,1,2,0\n", FLAT),
         ("Time,header.stamp.secs,header.stamp.nsecs,x,y,yaw\n3,0,0,1,2,0\n", FLAT),
         ("t_ns,qw,qx,qy,qz,tx_m,ty_m,tz_m\n3000000000,0.8,0,0,0.6,1,2,4\n", (1, 2, 4, *TURN)),
+        (f"# id x\nPLATFORM_ID 1\n{NODE.format('_TIME 7 1', '3 0')}EDGE 7 7\n", (1, 2, 4, *TURN)),
     ],
     ids=itertools.count(),
 )
@@ -92,16 +94,10 @@ def test_nanoseconds_since_the_start_of_a_computer(tmp_path: Path, since_boot: i
     assert [scan.stamp_ns for scan in scans] == stamps
 
 
-@pytest.mark.parametrize(
-    ("place", "turn"),
-    [
-        ("pose.pose.position", "pose.pose.orientation"),  # of Odometry
-        ("pose.position", "pose.orientation"),
-        ("transform.translation", "transform.rotation"),
-    ],
-)
-def test_what_rostopic_writes_of_poses(tmp_path: Path, place: str, turn: str) -> None:
+@pytest.mark.parametrize("place", ["pose.pose.position", "pose.position", "transform.translation"])
+def test_what_rostopic_writes_of_poses(tmp_path: Path, place: str) -> None:
     """The stamp of the header counts, in nanoseconds, and no speed is taken for a place."""
+    turn = place.replace("position", "orientation").replace("translation", "rotation")
     names = [f"{place}.{axis}" for axis in "xyz"] + [f"{turn}.{axis}" for axis in "xyzw"]
     header = ",field.".join(["%time", "header.stamp", "header.frame_id", *names, "twist.linear.x"])
     (sample,) = read(tmp_path, f"{header}\n9000000000,3000000001,map,1,2,4,0,0,0.6,0.8,5\n")
@@ -233,6 +229,7 @@ def test_quaternions_of_another_length_are_rotations(tmp_path: Path) -> None:
         (b"\xdb\x01\xf5[{\x1f\x1d{\x8a", "pbstream.*trajectories_to_rosbag -input .*drive.bin"),
         ("stamp,x,y,yaw\n1,2,3,0\n".encode("utf-16"), "UTF-16.*iconv"),
         (b"PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n", "pose graph, whose poses have no times"),
+        (b"VERTEX_SE3:QUAT 0 1 2 4 0 0 0.6 0.8\n", "poses without times"),
         (b"\x93NUMPY\x01\0", "an array of NumPy.*its poses as text"),
         (b"\x1f\x8b\x08\0", "decompress it first: gunzip"),
         *((text, "holds no poses") for text in (b"", b"# nothing\n", b"stamp,x,y,yaw\n")),
@@ -296,12 +293,17 @@ def test_kitti_of_a_robot_and_of_a_camera_is_in_a_robots_axes_which_is_told(
     assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, turn, HALF])
 
 
-def test_a_log_of_open3d_has_a_matrix_in_four_lines(tmp_path: Path) -> None:
-    rows = "0 0 1\n1 0 0 {}\n0 1 0 5\n0 0 1 0\n0 0 0 1\n"
+ROWS = "0 0 1\n1 0 0 {}\n0 1 0 2\n0 0 1 0\n0 0 0 1\n"  # Open3D has a matrix in four lines
+FIXED = f"FIX 9 11\n{NODE.format(' 10 6', '')}VERTEX_PLANE 12 0 0 1 0\n{NODE.format(' 11 0', '')}"
+
+
+@pytest.mark.parametrize("text", [ROWS.format(4) + ROWS.format(6), FIXED + NODE.format(" 9 4", "")])
+def test_poses_without_times_are_those_of_clouds(tmp_path: Path, text: str) -> None:
+    """Of a graph by the numbers of its vertices; one that is fixed behind the first is no pose."""
     path, moments = tmp_path / "poses.log", Moments([7, 8], is_timed=False)
-    path.write_text(rows.format(4) + rows.format(6))
+    path.write_text(text)
     poses, _ = read_trajectory(path, [], moments)
-    assert poses.pose[:, :2].tolist() == [[4, 5], [6, 5]]
+    assert poses.pose[:, :2].tolist() == [[4, 2], [6, 2]]
 
 
 def test_a_matrix_may_have_its_time_in_front(tmp_path: Path) -> None:
@@ -313,7 +315,7 @@ def test_a_matrix_may_have_its_time_in_front(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("times", "found"),
     [
-        (None, "poses without times; put KITTI's times.txt beside it"),
+        (None, "poses without times; put times.txt beside it, or write TUM"),
         ("1\n", "it holds 2 poses, and times.txt 1 time"),
         ("1\nnoon\n", "times.txt:2: 'noon' is not a time in seconds"),
         (f"1\n{'x' * 50}\n", "x... is not a time in seconds; a time in seconds stands"),

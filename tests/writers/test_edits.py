@@ -78,17 +78,17 @@ def test_geojson_says_the_same_as_lines(tmp_path: Path) -> None:
     hole = [[0, 3], [1, 3], [1, 4], [0, 4], [0, 3]]
     area = [[-1, 2], [3, 2], [3, 5], [-1, 5], [-1, 2]]
     across = [[-1, 2.25, 0], [3, 2.25, 0]]
-    listed = [
-        feature("Polygon", [area, hole], {"class": "free"}),
-        feature("LineString", across, {"class": "occupied", "width": 0.1}),
-    ]
-    text = json.dumps({"type": "FeatureCollection", "features": listed})
-    made = apply_edits(make_map(), read(tmp_path, text))
+    free, wall = {"class": "free"}, {"class": "occupied", "width": 0.1}
+    single = feature("Polygon", [area, hole], free), feature("LineString", across, wall)
+    many = feature("MultiPolygon", [[area, hole]], free), feature("MultiLineString", [across], wall)
     wanted = np.ones((6, 8), np.bool_)
     wanted[2:4, 2:4] = False  # the hole
     wanted[:1] = False  # the line
-    assert (made.free == wanted).all()
-    assert made.occupied[0].all()
+    for features in (single, many):  # as QGIS writes them, too
+        text = json.dumps({"type": "FeatureCollection", "features": features})
+        made = apply_edits(make_map(), read(tmp_path, text))
+        assert (made.free == wanted).all()
+        assert made.occupied[0].all()
 
 
 def test_forbidden_shapes_leave_the_map_alone(tmp_path: Path) -> None:
@@ -111,7 +111,8 @@ def test_forbidden_shapes_leave_the_map_alone(tmp_path: Path) -> None:
         ('{"features": null}', "GeoJSON"),
         ("occupied,line,0,0,5,0,-1", "-1"),
         ('{"features": 3', "GeoJSON"),
-        ('{"features": [{"properties": {}, "geometry": null}]}', "feature 1"),
+        ('{"features": [], "crs": {"properties": {"name": "urn:ogc:CRS84"}}}', "WGS 84"),
+        ('{"features": [{"properties": {}, "geometry": null}]}', 'feature 1: {"prop'),
         *(
             (json.dumps({"features": [feature(kind, places, {"class": "free"})]}), "feature 1")
             for kind, places in (
