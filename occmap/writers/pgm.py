@@ -71,10 +71,10 @@ class KeepoutWriter(PgmWriter):
     in_parts = False
 
     def check(self, path: Path, options: WriteOptions) -> None:
-        """Refuse a mask where no edits forbid anything; raises UsageError."""
-        if not any(shape.change is Change.FORBIDDEN for shape in options.shapes):
-            found = "a keepout mask is of edits that forbid, and there are none"
-            raise UsageError(found, where=path, fix="add `edits` with shapes that are forbidden")
+        """Refuse a mask where no edits are given; raises UsageError."""
+        if options.edits is None:
+            fix = "add `edits` with shapes that are forbidden"
+            raise UsageError("a keepout mask is of edits, and none are given", where=path, fix=fix)
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> None:
         """Write the mask and its YAML.

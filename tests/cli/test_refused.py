@@ -50,7 +50,7 @@ REFUSED = [
     ("build log.csv -o m.pgm --max-cells 2", 1, "more than --max-cells 2"),
     ("build log.csv -o m.pgm --modle x", 2, "--model"),
     ("build log.csv -o m.tif --georeference 91,0,0", 2, "no place has latitude 91 and longitude 0"),
-    ("build log.csv -o m.keepout.pgm --edits edits.csv", 2, "m.keepout.pgm: a keepout mask is"),
+    ("build log.csv -o m.pgm -o m.keepout.pgm", 2, "m.keepout.pgm: a keepout mask is of edits"),
     ("build log.csv -o m.pgm --edits log.csv", 2, "log.csv: line 4: "),
     ("build log.csv -o edits.csv --edits edits.csv", 2, "edits.csv: is an input"),
     ("build b.csv --resume none.npz -o m.npz", 1, "none.npz: no such file"),
