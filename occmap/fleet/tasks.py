@@ -35,8 +35,8 @@ from occmap.scans.logs import count_scans, list_kinds, suit_kinds
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Progress, trace_drive
-from occmap.store.layout import Block, BlockRecord, list_blocks, split_evidence
-from occmap.store.writing import paint_block, write_block
+from occmap.store import Block, list_blocks, split_evidence
+from occmap.store.writing import BlockRecord, paint_block, write_block
 from occmap.types import Int64, Update
 from occmap.writers.atomic import open_atomic
 
