@@ -12,17 +12,8 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.types import (
-    BLOCK_BITS,
-    COLUMN_MM,
-    NO_GROUND,
-    Bool,
-    Float32,
-    Float64,
-    Int32,
-    Int64,
-    UInt8,
-)
+from occmap import types
+from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 MOST_OBSERVED = 1 << 53
 """No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand
@@ -417,9 +408,10 @@ class Ground:
 
     def find_heights(self, place: Float64) -> Float64:
         """Find how high it was measured at places (N, 2 or more) (m); NaN where it was not."""
-        column = np.floor(place[:, 1::-1] * (1000 / COLUMN_MM)).astype(np.int64)
-        at, inside = self.find_blocks(column >> BLOCK_BITS), column & ((1 << BLOCK_BITS) - 1)
-        flat = (inside[:, 0] << BLOCK_BITS) + inside[:, 1]
+        column = np.floor(place[:, 1::-1] * (1000 / types.COLUMN_MM)).astype(np.int64)
+        bits = types.BLOCK_BITS
+        at, inside = self.find_blocks(column >> bits), column & ((1 << bits) - 1)
+        flat = (inside[:, 0] << bits) + inside[:, 1]
         known = (at >= 0) & self.measured[at, flat]
         return np.where(known, self.height_mm[at, flat] / 1000, np.nan)
 
@@ -434,7 +426,7 @@ class Ground:
         """Put it in its place among more blocks (B, 2), which are in ascending order."""
         at = self.find_blocks(blocks)
         there = (at >= 0)[:, np.newaxis]
-        height = np.where(there, self.height_mm[at], np.int32(NO_GROUND))
+        height = np.where(there, self.height_mm[at], np.int32(types.NO_GROUND))
         return Ground(blocks, height, there & self.measured[at])
 
     def measure_rise(self, other: "Ground") -> Int32:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from occmap import writers
-from occmap.cells import Evidence
+from occmap.cells import Evidence, Manifest
 from occmap.choices import take
 from occmap.clouds import LOCAL
 from occmap.errors import MapError, name_log
-from occmap.evidence import UNEVEN_SHARE, count_steady, list_contradictions, refuse_other
+from occmap.evidence import UNEVEN_SHARE, count_steady, refuse_other
 from occmap.evidence import manifest as manifests
 from occmap.options import BuildOptions
 from occmap.readers import Role
@@ -66,21 +66,20 @@ def build(
             saved, how = Blocks.of(evidence), take(RenderOptions, vars(options))
             whole, names = writers.want_whole(outputs), [path.name for path in paths]
             grid, facts = paint_saved(saved, options.model, how, whole, names)
+            facts = facts._replace(steady=count_steady(evidence.tiles if tally.points else {}))
         with tally.time("write"):  # to hash the logs takes time
             # Notes compare logs that may be one with another, and builds.
             is_compared = past or len(set(map(manifests.measure_files, paths))) < len(paths)
             is_told = writers.want_evidence(outputs) or is_compared
             logs = manifests.describe_files(*paths)
             made = [manifests.describe_build(logs, options, tally.to_json())] if is_told else []
-        manifest = replace(evidence.manifest, builds=(*evidence.manifest.builds, *made))
-        evidence = replace(evidence, manifest=manifest)
-        steady = count_steady(evidence.tiles) if tally.points else (0, 0)
-        tally.notes += [
-            *(*unaligned, *fitted, *facts.lost, *manifests.list_doubts(manifest)),
-            *list_contradictions(steady, tally.points),
-            *results.list_notes(options, outputs, tally, facts),
-        ]
-        report = make_report(options, tally, facts, past)
+        builds = *evidence.manifest.builds, *made
+        evidence = replace(evidence, manifest=replace(evidence.manifest, builds=builds))
+        tally.notes += unaligned + fitted
+        report = replace(
+            make_report(options, outputs, tally, facts, evidence.manifest),
+            resumed=describe_past(past),
+        )
 
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
@@ -185,24 +184,25 @@ def inspect_logs(paths: Paths, options: BuildOptions) -> Any:
     return inspect(paths, options)
 
 
+def describe_past(past: Evidence | None) -> Resumed | None:
+    """Describe the evidence that a build was added to, if there is any."""
+    before = sum_scans(past.manifest.builds if past else ())
+    return Resumed(past.where, before.read, before.used) if past else None
+
+
 def make_report(
-    options: BuildOptions, tally: Tally, facts: MapFacts, past: Evidence | None = None
+    options: BuildOptions, outputs: Paths, tally: Tally, facts: MapFacts, manifest: Manifest
 ) -> Report:
-    """Sum up what was done, and what it was added to."""
-    resumed = None
-    if past is not None:
-        before = sum_scans(past.manifest.builds)
-        resumed = Resumed(past.where, before.read, before.used)
-    plan = manifests.plan_manifest(options)
+    """Sum up a build, of which evidence has this manifest, and say what there is to know of it."""
     hint = results.hint_at_tune(facts.agreement, tally.logs, options)
+    told = *facts.lost, *manifests.list_doubts(manifest)
     return Report(
         logs=tuple(tally.logs),
         scans=tally.scans,
-        resumed=resumed,
         beams=tally.beams,
         points=tally.points,
-        map=results.MapSummary.describe(facts, plan, options.min_passes),
-        notes=tuple(tally.notes),
+        map=results.MapSummary.describe(facts, manifest, options.min_passes),
+        notes=(*tally.notes, *told, *results.list_notes(options, outputs, tally, facts)),
         seconds=tally.list_seconds(),
         hint=hint if tally.looked_up else "",
     )

@@ -15,10 +15,7 @@ from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from occmap import pipeline, writers
-from occmap.evidence import list_contradictions
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Job, open_cluster, refuse_unseen_files
@@ -27,7 +24,7 @@ from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.report import join_names
-from occmap.report.results import Report, list_notes
+from occmap.report.results import Report
 from occmap.scans import Keep
 from occmap.scans.align import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
@@ -111,17 +108,14 @@ class Fleet:
                 crew.setting = replace(crew.setting, store=store)
                 with tally.time("fold"):
                     create_store(store, manifest, [job.block for job in crew.blocks])
-                    stored = crew.cluster.run(tasks.store_block, crew.setting, crew.blocks)
-                    records, hits = zip(*stored, strict=True)
+                    records = crew.cluster.run(tasks.store_block, crew.setting, crew.blocks)
                 with tally.time("render"):
                     facts = crew.paint(records)
                 with tally.time("write"):
                     finish_store(store, manifest, records, crew.setting.keep.ground)
-        of_clouds = np.sum(hits, axis=0).tolist() if tally.points else (0, 0)
-        tally.notes += [*unaligned, *manifests.list_doubts(manifest)]
-        tally.notes += list_contradictions(of_clouds, tally.points)
-        tally.notes += list_notes(options, [output], tally, facts)
-        return replace(pipeline.make_report(options, tally, facts), files=(str(output),))
+        tally.notes += unaligned
+        report = pipeline.make_report(options, [output], tally, facts, manifest)
+        return replace(report, files=(str(output),))
 
     @contextmanager
     def work(

@@ -26,7 +26,7 @@ from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.fleet.cluster import AnyJob, Cluster, Job, Result, Task
 from occmap.grid import Lattice
 from occmap.grid.rendering import count_agreeing
-from occmap.grid.tiles import unite
+from occmap.grid.tiles import TILE, unite
 from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
 from occmap.report.results import MapFacts, count_cells
@@ -35,8 +35,8 @@ from occmap.scans.logs import count_scans, list_kinds, suit_kinds
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Progress, trace_drive
-from occmap.store.layout import Block, BlockRecord, list_blocks, split_evidence
-from occmap.store.writing import paint_block, write_block
+from occmap.store import Block, list_blocks, split_evidence
+from occmap.store.writing import BlockRecord, paint_block, write_block
 from occmap.types import Int64, Update
 from occmap.writers.atomic import open_atomic
 
@@ -267,25 +267,22 @@ def reduce_block(setting: Setting, job: BlockJob) -> Piece:
     return write_run(setting.folder / f"{job.name}.run", parts)[job.block]
 
 
-def store_block(setting: Setting, job: BlockJob) -> tuple[BlockRecord, tuple[int, int]]:
+def store_block(setting: Setting, job: BlockJob) -> BlockRecord:
     """Add up a block, and write it to the store; if a worker died at that, it is done anew.
-
-    Returns what the table says of it, and its hits as `count_steady` counts them.
 
     Raises
     ------
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    content = add_up(setting, job.pieces)
-    return write_block(setting.store, job.block, content), count_steady(content.tiles)
+    return write_block(setting.store, job.block, add_up(setting, job.pieces))
 
 
-def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:
+def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int64]:
     """Paint the pictures of a block, if it is one that was written, and measure it.
 
-    Returns a box around the cells that are observed, if there are any; numbers (4,) as
-    `count_cells` gives them; and the hits in cells called occupied, and all hits.
+    Returns a box around the cells that are observed, if there are any; and (8,) what `count_cells`,
+    `count_agreeing` and `count_steady` give.
 
     Raises
     ------
@@ -296,8 +293,10 @@ def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int6
     grid, made = paint_block(setting.store, job.block, keep=bool(job.pieces))
     reach = CellBox.around(made.observed, box.row, box.col)
     writing = setting.options.writing
+    agreeing = count_agreeing(grid, made.occupied, box)
+    own = {key: grid.tiles[key] for key in box.shrink(TILE).places if key in grid.tiles}
     cells = count_cells(writing.edit(made), writing)
-    return reach, cells, count_agreeing(grid, made.occupied, box)
+    return reach, np.array([*cells, *agreeing, *count_steady(own)])
 
 
 def hash_log(_: Setting, job: Job) -> list[dict[str, Any]]:
@@ -372,9 +371,10 @@ class Crew:
         beside = {block for record in records for block in list_blocks(record.reach.grow(1))}
         around = map(BlockJob.of, beside - {job.block for job in self.blocks})
         measured = self.cluster.run(measure_block, self.setting, [*self.blocks, *around])
-        reaches, cells, hits = zip(*measured, strict=True)
+        reaches, counts = zip(*measured, strict=True)
         box = reduce(CellBox.join, filter(None, reaches))
-        agreeing, met = np.sum(hits, axis=0).tolist()
+        cells, (agreeing, met), steady = np.split(np.sum(counts, axis=0), [4, 6])
         lattice = Lattice(self.setting.options.resolution)
         where = lattice.resolution, lattice.measure(box), box.shape
-        return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)
+        facts = MapFacts(*where, cells, float(agreeing / met) if met else None)
+        return facts._replace(steady=tuple(steady.tolist())) if self.tally.points else facts

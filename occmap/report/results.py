@@ -10,6 +10,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
+from occmap.evidence import list_contradictions
 from occmap.options import BuildOptions, choose_model, compose_build
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
@@ -52,6 +53,8 @@ class MapFacts(NamedTuple):
     agreement: float | None
     lost: Sequence[str] = ()
     """What there is to say of cells that do not last"""
+    steady: tuple[int, int] = (0, 0)
+    """Of clouds, as `count_steady` counts their hits"""
 
 
 @dataclass(frozen=True)
@@ -254,6 +257,7 @@ def list_notes(
     options: BuildOptions, outputs: Paths, tally: Tally, facts: MapFacts
 ) -> Iterator[str]:
     """Say what a user should know of the options, the logs and the map of a build."""
+    yield from list_contradictions(facts.steady, tally.points)
     yield from list_idle(outputs, options.writing)
     yield from list_unwritten(facts, options.model, options.writing, outputs)
     yield from list_shared_stamps(outputs, tally.trajectories)

@@ -21,14 +21,8 @@ from occmap.grid.tiles import MAX_CELLS, EvidenceKind
 from occmap.options import BuildOptions
 from occmap.scans.tracing import Observed
 from occmap.sensor.models import SensorModel
-from occmap.store.merging import (
-    STAY,
-    Transform,
-    add_move,
-    move_evidence,
-    move_ground,
-    refuse_unlike,
-)
+from occmap.store import merging
+from occmap.store.merging import STAY, Transform
 from occmap.types import Bool, Float32, Float64, Paths, Pose, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
@@ -275,7 +269,7 @@ def fit_logs(
         level = seen.options.posing.level or (0.0, 0.0)  # not that of the evidence
     found = match(replace(seen.evidence, where=logs), past, options.model, options.max_cells)
     placed, align = options.posing.transform, options.posing.align
-    pose = add_move(placed, found.transform, align, found.lift)
+    pose = merging.add_move(placed, found.transform, align, found.lift)
     typed = f"`transform=({format_place(pose)})`"
     if level and any(level):
         typed += " `level=({:g},{:g})`".format(*level)
@@ -310,7 +304,8 @@ def match(evidence: Evidence, past: Evidence, model: SensorModel, max_cells: int
     found = find_match(points, find_walls(past, model, max_cells))
     refuse_doubt(found, evidence.where, past.where or "the evidence before it")
     if evidence.ground and past.ground:
-        rise_mm = past.ground.measure_rise(move_ground(evidence.ground, found.transform, 0.0))
+        moved = merging.move_ground(evidence.ground, found.transform, 0.0)
+        rise_mm = past.ground.measure_rise(moved)
         found = found._replace(lift=-float(np.median(rise_mm)) / 1000 if rise_mm.size else 0.0)
         if abs(found.lift) > REACH_M:
             higher = f"{abs(found.lift):.2f} m {'lower' if found.lift > 0 else 'higher'}"
@@ -335,9 +330,9 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     OccmapError
         The two cannot be combined, or it is not sure where it lies.
     """
-    refuse_unlike(past.manifest, evidence)
+    merging.refuse_unlike(past.manifest, evidence)
     found = match(evidence, past, read_model(past), MAX_CELLS)
-    moved = move_evidence(evidence, found.transform, found.lift)
+    moved = merging.move_evidence(evidence, found.transform, found.lift)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}
     typed = " and ".join(f"`transform=({format_place(Pose(*each))})`" for each in given)
     where = past.where or "the evidence before it"

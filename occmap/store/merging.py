@@ -19,8 +19,7 @@ from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.report import count
 from occmap.sensor.models import SensorModel
-from occmap.store import Blocks, join_blocks, open_saved, read_all
-from occmap.store.layout import Block
+from occmap.store import Block, Blocks, join_blocks, open_saved, read_all
 from occmap.types import COLUMN_MM, IDENTITY, NO_GROUND, Float64, Int64, Paths, Pose
 
 

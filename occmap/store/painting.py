@@ -26,8 +26,7 @@ from occmap.report.results import MapFacts, Report, count_cells
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
-from occmap.store import Blocks, identify, read_all, read_part
-from occmap.store.layout import SIDE, Block, list_blocks
+from occmap.store import SIDE, Block, Blocks, identify, list_blocks, read_all, read_part
 from occmap.types import Int64, Paths, UInt8
 from occmap.writers import Product, WriteOptions
 from occmap.writers.npz import refuse_damage

@@ -1,18 +1,22 @@
 """The writer of stores, whose names end in `.zarr`: made, written block by block, finished."""
 
-from collections.abc import Iterable, Iterator, Sequence
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from occmap import store
 from occmap.cells import CellBox, Evidence, Ground, Manifest, OccupancyMap, keep_largest, sum_tiles
 from occmap.evidence import paint_box, to_grid
+from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
-from occmap.store import Blocks, layout
-from occmap.store.layout import BLOCK, Block, BlockRecord
+from occmap.store import BLOCK, FORMAT, LAYERS, TABLE, VERSION, Block, Blocks
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
 from occmap.writers.npz import compute_checksum, pack_ground, pack_slices
@@ -25,6 +29,60 @@ OVERVIEW = 16
 """There is always a picture of squares with this side, as that of a city is read at once"""
 LEVEL_CELLS = 1024
 """The longest side of the coarsest picture, and the side of a shard of several blocks (pixels)"""
+
+
+class BlockRecord(NamedTuple):
+    """What the table of a store says of a block."""
+
+    block: Block
+    cells: int
+    """How many were observed"""
+    reach: CellBox
+    """The smallest box around them"""
+    sha256: str
+    """Digest of what was observed, however it is compressed"""
+    builds: tuple[int, ...]
+    """Which builds observed something"""
+    total: int
+    """`sum_tiles` of its tiles"""
+
+
+def locate_block(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
+    """Rows and columns of a block in an array, of which an item is a square of so many cells."""
+    row, col = offset
+    return block.box.move(-row, -col).shrink(side).slices
+
+
+def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
+    """Make what the attributes of a store say of it."""
+    head = {"format": FORMAT, "version": VERSION, "block": BLOCK, "offset": list(offset)}
+    return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
+
+
+def make_table(records: Sequence[BlockRecord], manifest: Manifest) -> dict[str, Any]:
+    """Arrays of what is known of each block, N in all, and of which logs may have observed it."""
+    counts = [len(list_inputs(build)) for build in manifest.builds]
+    build_of_log = np.repeat(np.arange(len(counts)), counts)
+    logs = np.array([np.isin(build_of_log, record.builds) for record in records], np.bool_)
+    digests = b"".join(bytes.fromhex(record.sha256) for record in records)
+    columns = (
+        np.array([record.block for record in records], np.int64).reshape(-1, 2),
+        np.array([record.cells for record in records], np.int64),
+        np.array([record.reach for record in records], np.int64).reshape(-1, 4),
+        np.frombuffer(digests, np.uint8).reshape(-1, 32),
+        np.packbits(logs.reshape(len(records), len(build_of_log)), axis=1),
+    )
+    return dict(zip(TABLE, columns, strict=True))
+
+
+def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
+    """SHA-256 of all that was observed, from those of the blocks: equal for equal evidence.
+
+    It says nothing of how the evidence is cut, compressed or kept, nor of who observed it.
+    """
+    meaning = {name: getattr(manifest, name) for name in MEANING}
+    lines = [json.dumps(meaning), *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks))]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
@@ -44,15 +102,15 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     OutputError
         It cannot be written.
     """
-    zarr = layout.import_zarr()
+    zarr = store.import_zarr()
     box, side = CellBox.enclose(list(blocks) or [Block(0, 0)]).scale(BLOCK), BLOCK
     while max(box.shape) > side * LEVEL_CELLS:  # so that coarser pictures lie on a lattice, too
         side *= 4
         box = box.align(side)
     unit = find_unit(plan.update)
     with refuse_unwritable(path):
-        root = zarr.create_group(path, attributes={"occmap": layout.make_head(plan, box[:2])})
-        for name in layout.LAYERS[plan.kind]:
+        root = zarr.create_group(path, attributes={"occmap": make_head(plan, box[:2])})
+        for name in LAYERS[plan.kind]:
             meaning = {"of_one_observation": unit}
             add_picture(root, name, box.shape, BLOCK, dtype=np.int64, attributes=meaning)
         for name, first, size in zip("yx", box[:2], box.shape, strict=True):
@@ -66,7 +124,7 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
 
 def make_codec() -> Any:
     """Make what compresses all arrays."""
-    return layout.import_zarr().codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
+    return store.import_zarr().codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
 
 
 def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **others: Any) -> Any:
@@ -100,7 +158,7 @@ def add_list(group: Any, name: str, values: Any, attributes: dict[str, Any]) -> 
 @contextmanager
 def edit_store(path: Path) -> Iterator[Any]:
     """Open the group of a store to write to it; raises OutputError where that fails."""
-    zarr = layout.import_zarr()
+    zarr = store.import_zarr()
     with refuse_unwritable(path):
         yield zarr.open_group(path, mode="r+")
 
@@ -113,19 +171,19 @@ def write_block(path: Path, block: Block, content: Evidence) -> BlockRecord:
     OutputError
         It cannot be written.
     """
-    builds, numbers = layout.list_observing_builds(content), to_grid(content).gather(block.box)
+    builds, numbers = store.list_observing_builds(content), to_grid(content).gather(block.box)
     packed = pack_slices([content.slices[build] for build in builds])
-    data, arrays = layout.pack_arrays({"builds": np.array(builds, "<i8"), **packed})
+    data, arrays = store.pack_arrays({"builds": np.array(builds, "<i8"), **packed})
     with edit_store(path) as root:
         head = root.attrs["occmap"]
-        place = layout.locate_block(block, head["offset"])
-        for name, layer in zip(layout.LAYERS[head["kind"]], numbers, strict=True):
+        place = locate_block(block, head["offset"])
+        for name, layer in zip(LAYERS[head["kind"]], numbers, strict=True):
             root[name][place] = layer
         add_list(root["slices"], f"{block.row}.{block.col}", data, {"arrays": arrays})
     seen, corner = (numbers != 0).any(axis=0), block.box[:2]
     # Of a block where nothing was observed, an empty box at its corner.
     reach = CellBox.around(seen, *corner) or CellBox(*corner, *corner)
-    digest, total = layout.hash_content(content), sum_tiles(content.tiles)
+    digest, total = store.hash_content(content), sum_tiles(content.tiles)
     return BlockRecord(block, int(np.count_nonzero(seen)), reach, digest, builds, total)
 
 
@@ -144,11 +202,11 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
     """
     with edit_store(path) as root:
         head = root.attrs["occmap"]
-        tiles = layout.read_box(root, block.box.grow(TILE))
+        tiles = store.read_box(root, block.box.grow(TILE))
         grid = to_grid(Evidence(Manifest.from_json(head), tiles))
         made = paint_box(grid, parse_model(head["model"]), block.box)
         for side in FINE_LEVELS if keep else ():
-            place = layout.locate_block(block, head["offset"], side)
+            place = locate_block(block, head["offset"], side)
             root["classes"][str(side)][place] = keep_largest(made.classes, side)
     return grid, made
 
@@ -173,9 +231,9 @@ def finish_store(
         It cannot be written.
     """
     known = sorted(record for record in records if record.cells)
-    table, below = layout.make_table(known, manifest), pack_ground(ground)
+    table, below = make_table(known, manifest), pack_ground(ground)
     with edit_store(path) as root:
-        head = layout.make_head(manifest, root.attrs["occmap"]["offset"])
+        head = make_head(manifest, root.attrs["occmap"]["offset"])
         row, col = head["offset"]
         add_coarse_levels(root, [record.block.box.move(-row, -col) for record in known])
         blocks = root.require_group("blocks")
@@ -185,9 +243,9 @@ def finish_store(
             add_list(root.require_group("ground"), name, values, {})
         digests = {record.block: record.sha256 for record in known}
         head |= {
-            "digest": layout.compute_digest(manifest, digests),
+            "digest": compute_digest(manifest, digests),
             "evidence": manifest.identify(sum(record.total for record in known)),
-            "table": layout.hash_table(table | below),
+            "table": store.hash_table(table | below),
         }
         head["complete"] = True
         root.attrs["occmap"] = {**head, "checksum": compute_checksum(head, {})}

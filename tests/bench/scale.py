@@ -22,7 +22,7 @@ from occmap.fleet.tasks import survey_log, trace_log
 from occmap.options import BuildOptions
 from occmap.scans import Keep
 from occmap.scans.tracing import ignore_progress
-from occmap.store.layout import import_zarr
+from occmap.store import import_zarr
 from tests.bench.limits import Row, divide
 from tests.bench.logs import write_mcap
 from tests.bench.measuring import ROUNDS, time_once

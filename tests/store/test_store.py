@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 import zarr
 
+from occmap import store
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError
 from occmap.grid.tiles import TILE, pack_bits
-from occmap.store import Blocks, open_store, read_all
-from occmap.store.layout import BLOCK, Block, compute_digest, hash_content, split_evidence
+from occmap.store import BLOCK, Block, Blocks, open_store, read_all, split_evidence
 from occmap.store.painting import RenderOptions, render_saved
 from occmap.store.writing import ZarrWriter, create_store, finish_store, paint_block, write_block
 from occmap.types import BEAM_UPDATES, UInt8, Update
@@ -85,8 +85,8 @@ def read_digest(store: Blocks) -> str:
 
 def digest_evidence(evidence: Evidence) -> str:
     """The digest that a store of this evidence has."""
-    blocks = {key: hash_content(content) for key, content in split_evidence(evidence)}
-    return compute_digest(evidence.manifest, blocks)
+    blocks = {key: store.hash_content(content) for key, content in split_evidence(evidence)}
+    return store.writing.compute_digest(evidence.manifest, blocks)
 
 
 def test_the_same_numbers_in_a_map_that_is_turned_are_another_digest(drive: Evidence) -> None:
