@@ -2,8 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import product
+from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from threading import Lock
 from typing import NamedTuple, TypeAlias, TypeVar
@@ -13,11 +12,12 @@ import numpy as np
 from occmap.cells import Ground
 from occmap.clouds import draw
 from occmap.clouds.kernels import heights
-from occmap.clouds.kernels.heights import Cloud, Histogram, Tables, list_clouds
+from occmap.clouds.kernels.heights import Cloud, Histogram, list_clouds
 from occmap.clouds.kernels.laying import lay_cloud, lay_columns
+from occmap.clouds.robot import BODY_MM, BODY_PLACES, Place, find_body, list_filled
 from occmap.posing import Drift
-from occmap.sensor import AROUND_M, OUTSIDE, SIDE, Sensor, Voxels, number_voxels, place_voxels
-from occmap.types import COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
+from occmap.sensor import AROUND_M, Sensor, Voxels
+from occmap.types import Float64, Int64, PosedScans
 
 POINTS_A_CLOUD = 12_500
 """About so many points of each cloud are counted, or an eighth: whichever is more."""
@@ -34,28 +34,12 @@ PLACE_MM, AREA_MM = 1000, 30_000
 """Clouds of one square see walls alike, so one of them is enough; those of one area see the same"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
-FEWEST_PLACES, BODY_PLACES, BODY_MM = 8, 32, 500
-"""The robot itself shows in clouds of so many places of its way at least, so many are enough, and
-such squares are a place"""
-FILLED_SHARE = 0.6
-"""It fills a voxel around its sensor in such a share of them"""
-KNOWN_SHARE, MET_SHARE = 0.5, 0.1
-"""In so many of them or more the column there is seen from afar, and in at most so many of these
-anything stands there then"""
-MET_BINS = -5, 20
-"""So far below a voxel and above it (bins)"""
-WAY_MM, MOST_APART = 200, 3
-"""A part of it goes through squares so wide beside those of the sensor, and the others are next to
-that, or next to these (voxels)"""
 
 
 Drawn: TypeAlias = tuple[float, float]
 """Numbers for the area, and for the square in it, where a cloud was made"""
 View: TypeAlias = tuple[int, str, str, str, int, int, int]
 """When a cloud was made (ns), by which sensor, and where that was (mm)"""
-
-Place: TypeAlias = tuple[Int32, Float64]
-"""(V,) the voxels around a sensor that a cloud fills, and (3, 4) its pose"""
 
 Kept = TypeVar("Kept")
 
@@ -112,7 +96,7 @@ class Counter:
         self._floor = ground and lay_columns(ground)
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         # Points around a sensor may be the robot itself: they have tables of their own.
-        self._idle: defaultdict[Sensor, list[Tables]] = defaultdict(list)
+        self._idle: defaultdict[Sensor | None, list[Histogram]] = defaultdict(list)
         self._places: defaultdict[Sensor, dict[Drawn, tuple[View, Place]]] = defaultdict(dict)
         self._ways: defaultdict[Sensor, list[tuple[int, int, int, int]]] = defaultdict(list)
         """Where each sensor was (mm), and when (ns)"""
@@ -130,19 +114,22 @@ class Counter:
         is_looked = self._most_places > 0 and posed.origin is None
         nearest = self._nearest, AROUND_M if is_looked else 0.0
         with self._lock:
-            idle = self._idle[sensor]
-            tables = idle.pop() if idle else (make_table(FIRST_SIZE), make_table(FIRST_SIZE))
+            idle = [self._idle[each] for each in (None, sensor)]
+            far, around = (each.pop() if each else make_table(FIRST_SIZE) for each in idle)
         room = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
-            while (start := heights.count_heights(laid, tables, start, nearest, room)) < points:
-                tables = grow_table(tables[0]), grow_table(tables[1])
+            while (
+                start := heights.count_heights(laid, (far, around), start, nearest, room)
+            ) < points:
+                far, around = grow_table(far), grow_table(around)
             if is_looked:
                 self._look_around(sensor, stamp_ns, laid)
             self._see(sensor, stamp_ns, cloud)
         with self._lock:
-            idle.append(tables)
+            idle[0].append(far)
+            idle[1].append(around)
 
     def _look_around(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
         """Keep which voxels around its sensor a cloud fills, if it is the first of its place."""
@@ -152,11 +139,9 @@ class Counter:
         with self._lock:
             is_kept = would_keep(places, square, view, self._most_places)
         if is_kept:
-            voxel = number_voxels(cloud.points.reshape(-1, 3))
-            filled = np.unique(voxel[voxel != OUTSIDE])
-            seen = view, (filled, cloud.poses[len(cloud.poses) // 2])
+            place = list_filled(cloud), cloud.poses[len(cloud.poses) // 2]
             with self._lock:
-                keep_view(places, square, seen, self._most_places)
+                keep_view(places, square, (view, place), self._most_places)
 
     def _see(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
         """Keep where a cloud was made, and the cloud if it may show whether walls stand upright."""
@@ -171,13 +156,12 @@ class Counter:
         """Give what was counted."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
         views = {drawn: (view, sample_points(it)) for drawn, (view, it) in self._views.items()}
-        every = [(sensor, tables) for sensor, idle in self._idle.items() for tables in idle]
-        far, bodies = add_tables(far for _, (far, _) in every), dict[Sensor, Voxels]()
+        far, bodies = add_tables(self._idle.pop(None, [])), dict[Sensor, Voxels]()
         for sensor, places in sorted(self._places.items()):
             seen = [place for _, (_, place) in sorted(places.items())]
             if body := find_body(far, paths[sensor], seen):
                 bodies[sensor] = body
-        around = (around for sensor, (_, around) in every if sensor not in bodies)
+        around = (it for sensor, idle in self._idle.items() if sensor not in bodies for it in idle)
         return Counted(add_tables([far, *around]), paths, views, {}, bodies)
 
     @property
@@ -213,64 +197,6 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
         for drawn, seen in each.views.items():
             keep_view(views, drawn, seen, UPRIGHT_CLOUDS)
     return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts, bodies)
-
-
-def find_body(far: Histogram, way: Int64, places: Sequence[Place]) -> Voxels:
-    """Find where the robot itself is around a sensor.
-
-    It is there wherever the sensor goes, and from afar nothing is seen to stand there. What keeps
-    beside a straight way may be a shelf: so a part of it goes where the sensor went.
-
-    Parameters
-    ----------
-    far
-        What is counted of points that are not around the sensor.
-    way
-        (P, 3) where that went (mm).
-    """
-    if len(places) < FEWEST_PLACES:
-        return ()
-    every, many = np.unique(np.concatenate([filled for filled, _ in places]), return_counts=True)
-    voxels, poses = every[many >= FILLED_SHARE * len(places)], np.stack([it for _, it in places])
-    if not (len(voxels) and far.used[0]):
-        return ()
-    there = np.einsum("pij,vj->vpi", poses[:, :, :3], place_voxels(voxels)) + poses[:, :, 3]
-    # Higher up no points are counted that are not far away.
-    own = (there[..., 2] - poses[:, 2, 3] <= heights.RISE * AROUND_M).all(axis=1)
-    few = there[own, :FEWEST_PLACES]  # which are enough for most of the floor
-    own[own] = look_up(far, few)[1].sum(axis=1) <= MET_SHARE * len(places)
-    known, met = (each.sum(axis=1) for each in look_up(far, there[own]))
-    own[own] = (known >= KNOWN_SHARE * len(places)) & (met <= MET_SHARE * known)
-    steps = np.array([*product((-1, 0, 1), repeat=2)])
-    went = way[:, None, :2] // WAY_MM + steps
-    is_at = np.rint(there[own, :, :2] * 1000).astype(np.int64) // WAY_MM
-    body = np.isin(*(it @ [1 << 32, 1] for it in (is_at, went))).mean(axis=1) >= FILLED_SHARE
-    at, before = np.stack(np.unravel_index(voxels[own], (SIDE, SIDE, SIDE)), axis=1), body & False
-    while (body != before).any():
-        before = body
-        body = (np.abs(at[:, None] - at[before]).max(axis=-1) <= MOST_APART).any(axis=1)
-    return tuple(voxels[own][body].tolist())
-
-
-def look_up(table: Histogram, places: Float64) -> tuple[Bool, Bool]:
-    """Say of which places (..., 3; m) the column holds points that are no higher, or some there."""
-    order = np.argsort(table.keys[: int(table.used[0])])
-    keys = table.keys[order]
-    x, y, z = np.moveaxis(np.rint(places * 1000).astype(np.int64), -1, 0)
-    row, col = (axis // COLUMN_MM & heights.WIDE - 1 for axis in (y, x))
-    column = (row << 21 | col) << heights.PIECE_BITS
-    lowest, highest = (z // heights.BIN_MM + bins for bins in MET_BINS)
-    top = column + highest // heights.BINS + heights.HALF
-    is_known = np.searchsorted(keys, column) < np.searchsorted(keys, top, side="right")
-    is_met = np.zeros_like(is_known)
-    for up in range(3):  # no more hold so many bins
-        piece = lowest // heights.BINS + up
-        at = np.searchsorted(keys[:-1], column + piece + heights.HALF)
-        bins = piece[..., None] * heights.BINS + np.arange(heights.BINS)
-        is_about = (bins >= lowest[..., None]) & (bins <= highest[..., None])
-        filled = is_about & (table.counts[order[at]] > 0)
-        is_met |= (keys[at] == column + piece + heights.HALF) & filled.any(axis=-1)
-    return is_known, is_met
 
 
 def would_keep(

@@ -16,6 +16,7 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, counting
 from occmap.clouds.counting import Counted, Counter, join_counted, list_apart
 from occmap.clouds.ground import derive_ground
+from occmap.clouds.robot import BODY_PLACES
 from occmap.errors import MapError, name_log
 from occmap.evidence import UNEVEN_SHARE, refuse_other
 from occmap.options import BuildOptions
@@ -276,7 +277,7 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     """
     log, posing = str(drive.log.path), drive.options.posing
     nearest = drive.options.returns.min_range
-    places = counting.BODY_PLACES if drive.options.clouds.own_points is None else 0
+    places = BODY_PLACES if drive.options.clouds.own_points is None else 0
     share = drive.scans / max(clouds, 1)
     views = max(math.ceil(counting.UPRIGHT_CLOUDS * share), counting.LOG_CLOUDS)
 
