@@ -120,9 +120,8 @@ class Counter:
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
-            while (
-                start := heights.count_heights(laid, (far, around), start, nearest, room)
-            ) < points:
+            while start < points:
+                start = heights.count_heights(laid, (far, around), start, nearest, room)
                 far, around = grow_table(far), grow_table(around)
             if is_looked:
                 self._look_around(sensor, stamp_ns, laid)

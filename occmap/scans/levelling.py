@@ -228,7 +228,7 @@ def keep_found(counted: Counted, options: BuildOptions, ground: Ground) -> Build
             Note(
                 f"what stays at one place around the sensor of {topic} wherever it goes, "
                 f"{metres.min():.1f} to {metres.max():.1f} m from it, is left out: it is the robot "
-                "itself, or who leads it; `own_points=off` keeps it"
+                "itself, or who goes with it; `own_points=off` keeps it"
             ).placed(log)
         )
     if counted.bodies:
