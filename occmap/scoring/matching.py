@@ -90,7 +90,7 @@ class Walls(NamedTuple):
         return np.clip(np.zeros(2), (low_x, low_y), (high_x, high_y))
 
     def measure(self, points: Float64) -> Float32:
-        """How far it is from the cells of points (N, 2) to the nearest wall (m)."""
+        """How far it is from the cells of points (..., 2) to the nearest wall (m)."""
         return self.away[self.place.find_cells(points, self.away.shape)]
 
 
@@ -187,10 +187,15 @@ class _Search(NamedTuple):
         (K,) for a turn and, after it, each of some shifts (K, 2)
         """
         points = self.points[:: max(len(self.points) // most, 1)]
-        moved = Transform(0.0, 0.0, yaw).move(points) + shifts[:, np.newaxis] + self.middle
-        away = self.walls.measure(moved.reshape(-1, 2)).reshape(moved.shape[:2])
-        near = np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2)
-        return np.asarray(near.mean(axis=1), np.float64)
+        turned = Transform(0.0, 0.0, yaw).move(points)
+        # All x, then all y, and in place: half of a search goes by here.
+        moved = np.add(turned.T[:, np.newaxis], shifts.T[:, :, np.newaxis], order="C")
+        moved += self.middle.reshape(2, 1, 1)
+        away = self.walls.measure(np.moveaxis(moved, 0, -1))
+        near = away / max(width, self.walls.place.resolution)
+        near *= near
+        near *= -0.5
+        return np.asarray(np.exp(near, out=near).mean(axis=1), np.float64)
 
     def swing(self, yaw: float) -> Float64:
         """(2,) how far a turn about the pivot takes the middle of the points along (m)."""
