@@ -11,8 +11,8 @@ from tests.cli.runner import spawn
 from tests.readers.ros import ROS2, SECOND, Written, drive, scan, transforms, write_mcap
 
 MEMORY = 1 << 31
-FRAMES = 1000
-SECONDS = 20
+FRAMES = 500
+SECONDS = 10
 """Of the processor, as it may have much else to do; what grows with the square takes minutes."""
 
 
@@ -42,7 +42,7 @@ def many_topics() -> list[Written]:
 
 @pytest.mark.parametrize(
     ("log", "used"),
-    [(many_lasers, "506 of 1,006"), (long_chain, "7 of 7"), (many_topics, "1,006 of 1,006")],
+    [(many_lasers, "256 of 506"), (long_chain, "7 of 7"), (many_topics, "506 of 506")],
 )
 def test_a_log_of_very_many(tmp_path: Path, log: Callable[[], list[Written]], used: str) -> None:
     path = write_mcap(tmp_path / "log.mcap", log())

@@ -28,6 +28,7 @@ from occmap.sensor.models import parse_model
 from occmap.store.merging import merge
 from occmap.types import BEAM_UPDATES, Bool, Pose, Update
 from occmap.writers.npz import read_evidence
+from tests.evidence import saving
 from tests.grid.scans import are_equal
 from tests.inspection_logs import Drive, write_bag
 from tests.inspection_logs import write_csv as write_room
@@ -38,8 +39,7 @@ from tests.posing.scenes import drive as move
 from tests.readers.ros import ROS2, Written, drive, transforms, write_mcap
 from tests.samples import DRIVES, PLAIN, SAMPLE_LOGS, Planar, write_csv, write_late
 
-COMBINATIONS = list(product(BEAM_UPDATES, ["simple", "quadratic", "counting"]))
-each_combination = pytest.mark.parametrize(("update", "model"), COMBINATIONS)
+MODELS = ("simple", "quadratic", "counting")
 
 
 def choose(update: Update, model: str, jobs: int = 1) -> BuildOptions:
@@ -58,7 +58,7 @@ def write_map(folder: Path, logs: list[Path], options: BuildOptions) -> bytes:
     return b"".join([*files, grid.log_odds.tobytes()])
 
 
-@each_combination
+@pytest.mark.parametrize(("update", "model"), list(zip(BEAM_UPDATES, MODELS, strict=True)))
 def test_five_formats_give_one_map(tmp_path: Path, update: Update, model: str) -> None:
     maps = {write_map(tmp_path, [log], choose(update, model)) for log in DRIVES}
     assert len(maps) == 1
@@ -84,9 +84,7 @@ LONE = {"simple": "simple:spread=0", "counting": "counting:spread=0,ceiling=1,do
 
 
 @pytest.mark.parametrize("no_return", NoReturn)
-@pytest.mark.parametrize(
-    ("update", "model"), [*COMBINATIONS, *((update, "") for update in BEAM_UPDATES)]
-)
+@pytest.mark.parametrize(("update", "model"), list(product(BEAM_UPDATES, (*MODELS, ""))))
 def test_the_map_agrees_with_the_floor_plan(
     update: Update, model: str, no_return: NoReturn
 ) -> None:
@@ -111,7 +109,7 @@ def test_the_map_agrees_with_the_floor_plan(
     assert model or (grid.agreement or 0.0) > 0.9  # poses of a simulated drive are true
 
 
-@pytest.fixture(params=COMBINATIONS, ids=lambda pair: f"{pair[0]}-{pair[1]}", scope="module")
+@pytest.fixture(params=saving.COMBINATIONS, ids=lambda pair: f"{pair[0]}-{pair[1]}", scope="module")
 def reference(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Update, str, bytes]:

@@ -59,10 +59,14 @@ class Place(NamedTuple):
         return np.column_stack([cols + 0.5, rows + 0.5]) * self.resolution + self[1:]
 
     def find_cells(self, points: Float64, shape: tuple[int, ...]) -> tuple[Int64, Int64]:
-        """Rows and columns of the cells of points (N, 2); those outside are on the border."""
-        cells = np.floor((points - self[1:]) / self.resolution)
-        cols, rows = np.clip(cells, 0, np.array(shape[::-1]) - 1).astype(np.int64).T
-        return rows, cols
+        """Rows and columns of the cells of points (..., 2); those outside are on the border."""
+        found = []
+        for axis in (1, 0):
+            cells = points[..., axis] - self[1 + axis]
+            cells /= self.resolution
+            np.floor(cells, out=cells).clip(0, shape[1 - axis] - 1, out=cells)
+            found.append(cells.astype(np.int64))
+        return found[0], found[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

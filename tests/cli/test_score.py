@@ -36,7 +36,7 @@ def test_a_map_that_lies_elsewhere_is_moved(made: Path, tmp_path: Path) -> None:
     words = ["score", moved, "--truth", made, "--log", DRIVE, "--fit"]
     limits = ["--fail-if", "edges_found < 98%", "--fail-if", "wall_distance > 0.05"]
     fitted = occmap(*words, *limits)
-    assert fitted.code == 0
+    assert (fitted.code, fitted.err) == (0, "")
     assert "the logs fit with --transform 0." in fitted.out
     assert "the map fits moved by -0." in fitted.out
     assert occmap(*words[:-1], *limits).code == 3
@@ -52,7 +52,6 @@ def test_what_does_not_belong_together_is_told(made: Path, tmp_path: Path) -> No
     doubts = occmap("score", hall, "--log", DRIVE, "--truth", made, "--fit").err
     assert "it is not sure how the drive lies on the map: " in doubts
     assert f"it is not sure how the map lies on {made}: " in doubts
-    assert occmap("score", made, "--log", DRIVE, "--truth", PLAN, "--fit").err == ""
 
 
 def test_the_picture_is_never_written_over_the_image_of_a_map(made: Path, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def test_what_is_found_is_said_with_the_line_that_mends_it(
     assert time.startswith("time     offset -0.1 s gains 0.")
     assert mount == "mount    nothing to gain"
     assert ", 0.9" in share
-    assert scored.startswith("scored   by 10,")
+    assert scored.startswith("scored   by 3,")
     assert line == (
         "occmap build scans.csv --resolution 0.1 --poses poses.csv --time-offset -0.1 -o scans.pgm"
     )

@@ -76,7 +76,7 @@ def test_poses_whose_z_is_not_up_are_told(
     level = ("--level", f"{-angle},0")
     for words, is_told in (((), True), (level, False)):
         made = ("-o", tmp_path / "hall.pgm") if command == "build" else ()
-        told = occmap(command, HALL, "--poses", poses, *words, *made)
+        told = occmap(command, HALL, "--stride", 3, "--poses", poses, *words, *made)
         assert (doubt in told.out + told.err) == is_told
 
 

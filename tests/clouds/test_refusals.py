@@ -15,6 +15,7 @@ from tests.cli.runner import ask, occmap
 from tests.clouds.simulation import HALL, LATTICE, ROOM, Room, drive, find_ground, observe
 from tests.samples import SAMPLE_LOGS
 
+THIN = HALL, "--stride", 4
 COLUMNS, ROWS = 202, 122
 """Of the hall's map at 5 cm, which sees the outer sides of no wall"""
 
@@ -32,8 +33,8 @@ COLUMNS, ROWS = 202, 122
 def test_a_check_tells_what_a_build_fails_for(
     options: tuple[object, ...], told: str, tmp_path: Path
 ) -> None:
-    checked = occmap("check", HALL, *options, "--json")
-    built = occmap("build", HALL, *options, "-o", tmp_path / "hall.pgm")
+    checked = occmap("check", *THIN, *options, "--json")
+    built = occmap("build", *THIN, *options, "-o", tmp_path / "hall.pgm")
     (problem,) = json.loads(checked.out)["problems"]
     assert (checked.code, built.code > 0) == (1, True)
     assert told in problem
@@ -42,8 +43,8 @@ def test_a_check_tells_what_a_build_fails_for(
 
 def test_a_check_says_how_large_the_map_will_be(tmp_path: Path) -> None:
     most = "--max-cells", COLUMNS * ROWS
-    checked = json.loads(occmap("check", HALL, *most, "--json").out)
-    built = json.loads(occmap("build", HALL, *most, "-o", tmp_path / "hall.pgm", "--json").out)
+    checked = json.loads(occmap("check", *THIN, *most, "--json").out)
+    built = json.loads(occmap("build", *THIN, *most, "-o", tmp_path / "hall.pgm", "--json").out)
     for size in (checked["map"], built["map"]):
         assert (size["columns"], size["rows"]) == (COLUMNS, ROWS)
     (topic,) = checked["logs"][0]["scans"]
@@ -70,7 +71,7 @@ def test_a_map_that_is_too_large_is_refused_before_room_is_made_for_it() -> None
 
 
 def test_a_limit_on_beams_is_refused_for_clouds(tmp_path: Path) -> None:
-    for words in (("build", HALL, "-o", tmp_path / "hall.pgm"), ("check", HALL)):
+    for words in (("build", *THIN, "-o", tmp_path / "hall.pgm"), ("check", *THIN)):
         done = occmap(*words, "--fail-if", "hits < 50%")
         assert (done.code, "clouds of points have none" in done.err) == (2, True)
 
@@ -80,7 +81,7 @@ def test_a_model_of_beams_is_refused_for_clouds(tmp_path: Path) -> None:
     assert (done.code, "--model counting" in done.err) == (2, True)
 
     saved = tmp_path / "hall.npz"
-    assert occmap("build", HALL, "-o", saved).code == 0
+    assert occmap("build", *THIN, "-o", saved).code == 0
     rendered = occmap("render", saved, "--model", "quadratic", "-o", tmp_path / "hall.pgm")
     assert (rendered.code, "build it" in rendered.err) == (1, False)
 

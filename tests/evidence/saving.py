@@ -19,7 +19,8 @@ from occmap.writers.npz import read_evidence, write_evidence
 from tests.samples import SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
-COMBINATIONS = list(product(BEAM_UPDATES, ["simple", "quadratic", "counting"]))
+COMBINATIONS = list(product(BEAM_UPDATES, ["counting", "quadratic"]))
+"""Each update with each kind of evidence: hits and misses are the same whatever reads them"""
 each_combination = pytest.mark.parametrize(("update", "model"), COMBINATIONS)
 MIDDLE_S = 20.0005
 

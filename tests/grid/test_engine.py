@@ -21,6 +21,7 @@ from occmap.grid.tiles import (
     TILE,
     WINDOW_CELLS,
     GridSpec,
+    TileGrid,
     count_visits,
     split_tiles,
     tabulate,
@@ -107,12 +108,16 @@ def test_batches_windows_order_and_merging_change_nothing(
 ) -> None:
     rays, resolution = drive
     spec = all_specs(resolution)[kind_of_map]
-    whole, slices = observe_both(spec, [rays])
+    grid, slices = observe_slices(spec, [rays])
+    plain = GridEngine(spec)
+    plain.add(rays)
+    assert scans.are_equal(grid.tiles, plain.finish().tiles)
+    whole = scans.read_cells(grid)
     alone = [scans.take(rays, [s]) for s in range(len(rays.kind))]
     for order in islice(permutations(range(len(alone))), 0, None, 5):
         for batches in ([scans.take(rays, list(order))], [alone[s] for s in order]):
-            found, kept = observe_both(spec, batches, window_cells)
-            assert found == whole
+            found, kept = observe_slices(spec, batches, window_cells)
+            assert scans.read_cells(found) == whole
             scans.assert_same_slices(kept, slices)
     parts = [scans.observe(spec, [scan]) for scan in alone]
     for layer in (0, 1):
@@ -344,19 +349,16 @@ def spread_visits(slices: Slices) -> dict[Cell, tuple[int, int]]:
     return found
 
 
-def observe_both(
+def observe_slices(
     spec: GridSpec, batches: list[Rays], window_cells: int = WINDOW_CELLS, slice_ns: int = SLICE
-) -> tuple[scans.Evidence, Slices]:
-    """The evidence, which is that of an engine without slices, and which of these are kept."""
+) -> tuple[TileGrid, Slices]:
+    """The evidence, and which slices of time are kept."""
     engine = GridEngine(spec, window_cells, slice_ns=slice_ns)
-    plain = GridEngine(spec, window_cells)
     for rays in batches:
         engine.add(rays)
-        plain.add(rays)
     grid = engine.finish()
-    assert scans.are_equal(grid.tiles, plain.finish().tiles)
     (slices,) = engine.read_slices()
-    return scans.read_cells(grid), slices
+    return grid, slices
 
 
 @KINDS_OF_MAP
@@ -372,7 +374,7 @@ def test_slices_are_those_of_the_scans_that_observed_a_cell(
 ) -> None:
     rays, resolution = data.draw(scene())
     spec = all_specs(resolution)[kind_of_map]
-    _, slices = observe_both(spec, [rays], window_cells, slice_ns)
+    _, slices = observe_slices(spec, [rays], window_cells, slice_ns)
     expected = look_scan_by_scan(spec, rays, slice_ns)
     assert spread(slices) == expected
     assert spread_visits(slices) == {cell: seen.count_visits() for cell, seen in expected.items()}
@@ -414,12 +416,12 @@ def test_a_visit_that_hits_again_and_again_is_one(hits: list[int], visits: int) 
     rays = one_beam([0, 10, 20, 30, 40, 50, 100, 110])
     rays.distance[~np.isin(rays.stamp_ns, hits)] = 4
     rays.distance[rays.stamp_ns == 30] = 1
-    _, slices = observe_both(all_specs(1.0)[0], [rays])
+    _, slices = observe_slices(all_specs(1.0)[0], [rays])
     assert spread_visits(slices)[0, 2] == (visits, 3)
 
 
 def test_every_stamp_that_there_can_be_has_a_slice() -> None:
-    _, slices = observe_both(all_specs(1.0)[0], [one_beam([LIMITS.min, -1, 0, LIMITS.max])])
+    _, slices = observe_slices(all_specs(1.0)[0], [one_beam([LIMITS.min, -1, 0, LIMITS.max])])
     first, last = LIMITS.min // SLICE, LIMITS.max // SLICE
     assert spread(slices)[0, 2].hit == {int(first), -1, 0, int(last)}
     assert spread_visits(slices)[0, 2] == (3, 3)

@@ -17,20 +17,21 @@ from occmap import store
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError
 from occmap.grid.tiles import TILE, pack_bits
-from occmap.store import BLOCK, Block, Blocks, open_store, read_all, split_evidence
+from occmap.store import Block, Blocks, open_store, read_all, split_evidence
 from occmap.store.painting import RenderOptions, render_saved
 from occmap.store.writing import ZarrWriter, create_store, finish_store, paint_block, write_block
 from occmap.types import BEAM_UPDATES, UInt8, Update
 from tests.evidence.saving import choose, save, write_bytes
 from tests.grid.scans import are_equal
+from tests.store.conftest import shrink_blocks
 
-FINE = 0.02
+SIDE_M = 0.05
 """Metres: the drive then reaches over four blocks, on both sides of zero"""
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Evidence:
-    options = replace(choose(Update.SURFACE, "counting"), resolution=FINE)
+    options = replace(choose(Update.SURFACE, "counting"), resolution=SIDE_M)
     return save(tmp_path_factory.mktemp("drive") / "m.npz", options)
 
 
@@ -71,7 +72,7 @@ ALL_OF_EACH = list(zip(BEAM_UPDATES, ("counting", "quadratic", "simple"), strict
 def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
     tmp_path: Path, update: Update, model: str
 ) -> None:
-    evidence = save(tmp_path / "m.npz", replace(choose(update, model), resolution=FINE))
+    evidence = save(tmp_path / "m.npz", replace(choose(update, model), resolution=SIDE_M))
     ZarrWriter().write_blocks(tmp_path / "m.zarr", Blocks.of(evidence))
     store = open_store(tmp_path / "m.zarr")
     assert write_bytes(tmp_path, read_all(store)) == (tmp_path / "m.npz").read_bytes()
@@ -99,7 +100,7 @@ def test_zarr_alone_reads_numbers_at_their_places(kept: Path, drive: Evidence) -
     assert [root[name].metadata.dimension_names for name in ("hits", "x")] == [("y", "x"), ("x",)]
     row, col = root.attrs["occmap"]["offset"]
     assert row < 0
-    assert root["y"][0] == pytest.approx((row + 0.5) * FINE)
+    assert root["y"][0] == pytest.approx((row + 0.5) * SIDE_M)
     keys = sorted(drive.tiles)
     for key in (keys[0], keys[len(keys) // 2], keys[-1]):
         tile = key[0] * TILE - row, key[1] * TILE - col
@@ -131,10 +132,10 @@ def shrink(classes: UInt8, side: int) -> UInt8:
 
 
 def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: Evidence) -> None:
-    path, far = tmp_path / "m.zarr", round(100_000 / 0.05 / BLOCK)
+    path, far = tmp_path / "m.zarr", round(100_000 / 0.05 / store.BLOCK)
     tile = next(iter(drive.tiles.values()))
     blocks = [Block(-far, -far), Block(far, far - 3)]
-    tiles = {(block.row * 16 + 5, block.col * 16 + 9): tile for block in blocks}
+    tiles = {(block.row * store.SIDE + 1, block.col * store.SIDE + 3): tile for block in blocks}
     bits = np.packbits([tile != 0] * 2, axis=-1)
     bits[:, 1] |= bits[:, 0]
     slices = pack_bits(np.array(list(tiles)), np.array([3, 4]), bits)
@@ -173,8 +174,8 @@ def test_processes_write_blocks_at_once_and_a_task_may_run_twice(
 ) -> None:
     path, contents = tmp_path / "m.zarr", dict(split_evidence(drive))
     create_store(path, replace(drive.manifest, builds=()), contents)
-    twice = [*contents, *contents]
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+    twice, patch = [*contents, *contents], pytest.MonkeyPatch()
+    with ProcessPoolExecutor(2, get_context("spawn"), shrink_blocks, (patch,)) as pool:
         done = pool.map(write_block, repeat(path), twice, [contents[each] for each in twice])
         records = set(done)
         assert len(records) == len(contents)
@@ -241,7 +242,7 @@ def test_every_file_that_is_missing_cut_or_altered_is_refused(path: Path) -> Non
     read_all(open_store(path))
 
 
-ALTERED = {"resolution": 0.05, "offset": [0, 0], "digest": "0" * 64, "model": None}
+ALTERED = {"resolution": 0.02, "offset": [0, 0], "digest": "0" * 64, "model": None}
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,12 @@ from tests.samples import SAMPLE_LOGS, Planar, import_generator
 
 drive = import_generator("drive")
 NOWHERE: Planar = (0.0, 0.0, 0.0)
+SPARSE = slice(4, None, 3)
+"""Columns of the ranges that are written: every third beam shows as much, in half of the time"""
 NAMES = ("angle_min", "angle_increment", "range_max")
 SHAPE: dict[str, float] = {name: getattr(drive.SENSOR, name) for name in NAMES}
 """Of all scans"""
+SHAPE["angle_increment"] *= SPARSE.step
 
 
 @cache
@@ -39,7 +42,7 @@ def write_drive(
     stamps, back = rows[:, 0] - 1.7e9, drive.invert(drive.Planar(*mount))
     robot = [drive.compose(drive.Planar(*laser), back) for laser in rows[:, 1:4]]
     late = stamps + [delay(number) for number in range(len(rows))]
-    scans = write_scans(folder / "scans.csv", late[::2], rows[::2, 4:], **SHAPE)
+    scans = write_scans(folder / "scans.csv", late[::2], rows[::2, SPARSE], **SHAPE)
     return scans, write_poses(folder / "poses.csv", stamps, robot)
 
 
@@ -52,7 +55,7 @@ def write_parts(folder: Path, turns_deg: Sequence[float], scans: int) -> list[Pa
     for part, rows in enumerate(np.array_split(read_drive(), len(turns_deg))):
         stamps, x, y, yaw = rows[:scans, :4].T
         ahead = yaw + math.pi / 2 - math.radians(turns_deg[part])
-        poses, ranges = np.column_stack([20 * part - y, x, ahead]), rows[:scans, 4:]
+        poses, ranges = np.column_stack([20 * part - y, x, ahead]), rows[:scans, SPARSE]
         log = folder / f"part{part}.csv"
         parts.append(write_scans(log, stamps, ranges, poses, **SHAPE))
     return parts
