@@ -147,13 +147,13 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     for block in contents:
         paint_block(path, block)
     finish_store(path, drive.manifest, records)
-    classes, store = open_group(path / "classes"), open_store(path)
+    classes, saved = open_group(path / "classes"), open_store(path)
     assert sorted(classes.array_keys(), key=int) == ["1", "4", "16", "64", "256", "1024", "4096"]
     coarse = classes["4096"]
     rows, cols = np.nonzero(coarse[:])
-    expected = {tuple((np.array(key) * TILE - find_offset(store)) // 4096) for key in tiles}
+    expected = {tuple((np.array(key) * TILE - find_offset(saved)) // 4096) for key in tiles}
     assert set(zip(rows.tolist(), cols.tolist(), strict=True)) == expected
-    assert are_equal(read_all(store).tiles, tiles)
+    assert are_equal(read_all(saved).tiles, tiles)
 
 
 def test_the_table_says_what_is_where_and_who_saw_it(kept: Path, drive: Evidence) -> None:
