@@ -141,23 +141,12 @@ def test_what_may_be_something_else_is_not_taken_for_the_robot(
 
 
 def test_a_build_leaves_the_robot_out_and_says_so(tmp_path: Path) -> None:
-    """It drives round a pillar, with a plate 0.3 m ahead of it; the next hides a wider one."""
-    x, y = (axis.ravel() for axis in np.mgrid[-6:6.05:0.15, -6:6.05:0.15])
-    floor = np.column_stack([x, y, np.full(x.size, -0.6)])
-    up, across = (axis.ravel() for axis in np.mgrid[-0.2:0.21:0.02, -0.1:0.11:0.02])
-    plates = [np.column_stack([np.full(up.size, x), x / 0.3 * across, up]) for x in (0.3, 0.471)]
-    clouds = tmp_path / "clouds"
+    clouds, lines = tmp_path / "clouds", []
     clouds.mkdir()
-    lines = []
-    for number in range(40):
-        yaw = math.tau * number / 40
-        at = 3 * math.sin(yaw), -3 * math.cos(yaw)
-        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-        pillar = (np.column_stack([0.05 * across, 0.05 * across]) - at) @ turn.T
-        seen = np.concatenate([floor, *plates, np.column_stack([pillar, up])])
+    for number, posed in enumerate(drive(Room())):
+        seen = np.concatenate([read_points(posed), PLATE])
         np.save(clouds / f"{number}.npy", seen.astype(np.float32))
-        z, w = math.sin(yaw / 2), math.cos(yaw / 2)
-        lines.append(f"{number} {at[0]} {at[1]} 0.6 0 0 {z} {w}\n")
+        lines.append(f"{number} {' '.join(map(str, posed.position[0]))} 0 0 0 1\n")
     (tmp_path / "way.tum").write_text("".join(lines))
     words = clouds, "--poses", tmp_path / "way.tum"
 
@@ -168,7 +157,7 @@ def test_a_build_leaves_the_robot_out_and_says_so(tmp_path: Path) -> None:
     assert ["it is the robot itself" in each for each in told] == [True, True, False]
     assert ["that the sensor itself" in each for each in told] == [False, False, True]
     for name, is_hit in (("map.npz", False), ("own.npz", True)):
-        found = ask("explain", tmp_path / name, "3.02", "0.02", "--log", *words)
+        found = ask("explain", tmp_path / name, "5", "3", "--log", *words)
         hits = sum(scan["seen"]["hits"] for scan in found["scans"])
         assert (found["seen"]["hits"] > 0) == is_hit
         assert hits == found["seen"]["hits"]
