@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -298,32 +299,24 @@ def test_hits_in_the_footprint_are_skipped(box: Box, expected: list[list[Kind]])
     assert counts.own_robot == int((kind == SKIP).sum())
 
 
-def test_a_footprint_says_nothing_of_beams_that_leave_it() -> None:
-    batch = four_beams([[5.0, np.inf, 9.0, 7.9]])
-    with_box = classify(batch, ReturnOptions(footprint=(-1, -1, 1, 1), no_return=NoReturn.CLEAR))
-
-    assert with_box[0].tolist() == [[HIT, FREE, FREE, HIT]]
-
-
-def test_a_slanted_beam_leaves_the_box_at_its_corner() -> None:
+def test_a_slanted_beam_leaves_the_box_at_its_corner_and_clears() -> None:
     reach = math.hypot(0.5, 0.5)
-    batch = four_beams([[reach - 0.01] * 4, [reach + 0.01] * 4], angle_min=math.pi / 4)
-
-    kind, _, _ = classify(batch, ReturnOptions(footprint=(-0.5, -0.5, 0.5, 0.5)))
-
-    assert kind.tolist() == [[SKIP] * 4, [HIT] * 4]
-
-
-@pytest.mark.parametrize("sector", [(1.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
-def test_an_empty_sector_is_refused(sector: sensor.Sector) -> None:
-    with pytest.raises(UsageError, match="`ignore_sectors="):
-        ReturnOptions(ignore_sectors=(sector,))
+    ranges = [[reach - 0.01] * 4, [reach + 0.01] * 4, [5.0, np.inf, 9.0, 7.9]]
+    box = ReturnOptions(footprint=(-0.5, -0.5, 0.5, 0.5), no_return=NoReturn.CLEAR)
+    kind, _, _ = classify(four_beams(ranges, angle_min=math.pi / 4), box)
+    assert kind.tolist() == [[SKIP] * 4, [HIT] * 4, [HIT, FREE, FREE, HIT]]
 
 
-@pytest.mark.parametrize("box", [(0, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, math.inf)])
-def test_an_empty_footprint_is_refused(box: Box) -> None:
-    with pytest.raises(UsageError, match="is not a footprint; give x_min,y_min,x_max,y_max"):
-        ReturnOptions(footprint=box)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("ignore_sectors", (it,)) for it in ((1.0, 1.0), (math.nan, 1.0), (0.0, math.inf))),
+        *(("footprint", it) for it in ((0, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, math.inf))),
+    ],
+)
+def test_what_is_empty_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(UsageError, match=r"`ignore_sectors=|a footprint; give x_min"):
+        ReturnOptions(**{name: value})
 
 
 PLACES = [(1, 0, 0.5), (0, 1, -2), (-1, 0, 0), (-3, 0.2, 0), (0, -1, 0)]
