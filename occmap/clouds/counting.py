@@ -158,7 +158,7 @@ class Counter:
         far, bodies = add_tables(self._idle.pop(None, [])), dict[Sensor, Voxels]()
         for sensor, places in sorted(self._places.items()):
             seen = [place for _, (_, place) in sorted(places.items())]
-            if body := find_body(far, paths[sensor], seen):
+            if body := find_body(far, np.array(self._ways[sensor]), seen):
                 bodies[sensor] = body
         around = (it for sensor, idle in self._idle.items() if sensor not in bodies for it in idle)
         return Counted(add_tables([far, *around]), paths, views, {}, bodies)

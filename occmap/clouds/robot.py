@@ -21,9 +21,11 @@ KNOWN_SHARE, MET_SHARE = 0.5, 0.1
 anything stands there then"""
 MET_BINS = -5, 20
 """So far below a voxel and above it (bins)"""
-WAY_MM, MOST_APART = 200, 3
-"""A part of it goes through squares so wide beside those of the sensor, and the others are next to
-that, or next to these (voxels)"""
+WAY_MM, MOST_APART = 100, 3
+"""A part of it goes through squares so wide beside those of the sensor, where no wall is that it
+passes, and the others are next to that, or next to these (voxels)"""
+MOST_STEPS = 100_000
+"""A way is followed in so many steps at most."""
 
 PACKED = np.array([1 << 32, 1])
 """Makes one number of the two of a square"""
@@ -49,7 +51,7 @@ def find_body(far: Histogram, way: Int64, places: Sequence[Place]) -> Voxels:
     far
         What is counted of points that are not around the sensor.
     way
-        (P, 3) where that went (mm).
+        (W, 4) where that was (mm), and when (ns), in any order.
     """
     if len(places) < FEWEST_PLACES or not far.used[0]:
         return ()
@@ -74,8 +76,13 @@ def find_clear(far: Histogram, there: Float64) -> Bool:
 
 
 def find_on_way(there: Float64, way: Int64) -> Bool:
-    """Find which voxels (V, P, 3; m) come by where the sensor goes (W, 3; mm) (V,)."""
-    around = way[:, None, :2] // WAY_MM + np.array([*product((-1, 0, 1), repeat=2)])
+    """Find which voxels (V, P, 3; m) come by where the sensor goes (W, 4; mm and ns) (V,)."""
+    way = way[np.lexsort(way.T)]  # straight between clouds: a car is metres on by the next
+    along = np.cumsum(np.hypot(*np.diff(way[:, :2], axis=0, prepend=way[:1, :2]).T))
+    steps = np.linspace(0.0, along[-1], min(int(along[-1]) // WAY_MM, MOST_STEPS) + 2)
+    places = np.stack([np.interp(steps, along, axis) for axis in way.T[:2]], axis=1)
+    squares = np.floor(places / WAY_MM).astype(np.int64)
+    around = squares[:, None] + np.array([*product((-1, 0, 1), repeat=2)])
     squares = np.rint(there[..., :2] * 1000).astype(np.int64) // WAY_MM
     is_there = np.isin(squares @ PACKED, around @ PACKED)
     return np.asarray(is_there.mean(axis=1) >= FILLED_SHARE)
