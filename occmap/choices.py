@@ -208,8 +208,10 @@ def _read_time(value: Any) -> float:
 
 
 def _read_found(value: Any) -> dict[Any, Any]:
-    """Take what was found in logs, or none of it."""
-    return {} if value == "off" else dict(value)
+    """Take none of what is found in logs: nobody types that."""
+    if value not in ("off", {}):
+        raise ValueError(value)
+    return {}
 
 
 def _make_form(size: int, text: str, angles: slice = slice(0)) -> Form:

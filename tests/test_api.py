@@ -116,6 +116,7 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"footprint": (0, 1)}, "give x_min,y_min,x_max,y_max in metres"),
         ({"transform": (0, 0, 0, 3, 0)}, "`transform=(0, 0, 0, 3, 0)`: 5 values where 3 or 4 "),
         ({"sensor_pose": (math.nan, 0, 0)}, "`sensor_pose=(nan, 0, 0)`: nan is not a number"),
+        ({"height_drift": {"a.csv": 3}}, "`height_drift` is {'a.csv': 3}; give \"off\""),
         ({"ignore_sectors": [2.5, -2.5]}, "give a list, each item from,to in radians"),
     ],
 )
