@@ -305,7 +305,7 @@ def test_a_map_passes_between_processes(log: Path, tmp_path: Path) -> None:
     [
         ("map.npz", UsageError, 'did not keep when .*; build it with outputs="map.npz"'),
         ("map.jpg", UsageError, "unknown suffix"),
-        ("map.keepout.pgm", UsageError, "a keepout mask is of edits that forbid, and there"),
+        ("map.keepout.pgm", UsageError, "a keepout mask is of edits, and none"),
         ("nowhere/map.pgm", OutputError, "does not exist"),
     ],
 )

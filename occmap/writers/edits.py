@@ -48,7 +48,7 @@ class Change(StrEnum):
 
 LOG_ODDS = {Change.FREE: -30.0, Change.OCCUPIED: 30.0, Change.UNKNOWN: 0.0}
 """Beyond every threshold that a user may give"""
-DEGREES = re.compile(r"CRS:?84|EPSG:+4326")
+DEGREES = re.compile(r"CRS:?84|EPSG:+4326\b")
 """How programs name the frame of GeoJSON whose places are longitude and latitude"""
 MOST_M = 1e9
 """No corner lies farther away."""
