@@ -152,16 +152,6 @@ def test_a_limit_that_no_range_is_within_is_none(
     assert sensor.read_limits(Scan(0, "laser", 0.0, 0.1, ranges, *stated)) == read
 
 
-@pytest.mark.parametrize(
-    ("least", "most", "limit"), [(-1, INF, None), (3, 3, None), (NAN, 5, None), (0, 5, 0.0)]
-)
-def test_options_that_leave_no_range_are_refused(
-    least: float, most: float, limit: float | None
-) -> None:
-    with pytest.raises(UsageError):
-        ReturnOptions(least, most, limit)
-
-
 def test_a_beam_ends_where_range_and_bearing_say() -> None:
     batch = make_batch([[2.0, 3.0]], angle_min=0.3, angle_increment=0.2)
     rays = look(batch, (7.0, -4.0, 1.0), yaw=0.5)
@@ -308,15 +298,17 @@ def test_a_slanted_beam_leaves_the_box_at_its_corner_and_clears() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    "given",
     [
-        *(("ignore_sectors", (it,)) for it in ((1.0, 1.0), (math.nan, 1.0), (0.0, math.inf))),
-        *(("footprint", it) for it in ((0, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, math.inf))),
+        *({"min_range": low, "max_range": high} for low, high in ((-1, INF), (3, 3), (NAN, 5))),
+        {"range_max": 0.0},
+        *({"ignore_sectors": [it]} for it in ((1.0, 1.0), (math.nan, 1.0), (0.0, math.inf))),
+        *({"footprint": it} for it in ((0, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, math.inf))),
     ],
 )
-def test_what_is_empty_is_refused(name: str, value: Any) -> None:
-    with pytest.raises(UsageError, match=r"`ignore_sectors=|a footprint; give x_min"):
-        ReturnOptions(**{name: value})
+def test_options_that_leave_nothing_are_refused(given: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=r"`(min|max)_range=|range_max|sectors=|give x_min"):
+        ReturnOptions(**given)
 
 
 PLACES = [(1, 0, 0.5), (0, 1, -2), (-1, 0, 0), (-3, 0.2, 0), (0, -1, 0)]
