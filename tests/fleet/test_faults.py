@@ -363,7 +363,7 @@ def test_the_first_log_that_fails_is_named(address: str, tmp_path: Path) -> None
 
 def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(UsageError, match=r"install it: pip install '.\[dask\]'"):
+    with pytest.raises(UsageError, match=r"install it: pip install 'dask>="):
         build_by("local", tmp_path)
 
 
