@@ -134,8 +134,9 @@ class Counter:
         """Keep which voxels around its sensor a cloud fills, if it is the first of its place."""
         x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
         square = draw((x // BODY_MM << 32) + y // BODY_MM), 0.0
-        places, view = self._places[sensor], (stamp_ns, *sensor, x, y, z)
+        view = stamp_ns, *sensor, x, y, z
         with self._lock:
+            places = self._places[sensor]
             is_kept = would_keep(places, square, view, self._most_places)
         if is_kept:
             place = list_filled(cloud), cloud.poses[len(cloud.poses) // 2]

@@ -22,11 +22,10 @@ anything stands there then"""
 MET_BINS = -5, 20
 """So far below a voxel and above it (bins)"""
 WAY_MM, MOST_APART = 100, 3
-"""A part of it goes through squares so wide beside those of the sensor, where no wall is that it
-passes, and the others are next to that, or next to these (voxels)"""
+"""Some of it goes through squares so wide that the sensor goes through, or those beside them, where
+no wall can be; other parts are so near to that, or to one another (voxels)"""
 MOST_STEPS = 100_000
 """A way is followed in so many steps at most."""
-
 PACKED = np.array([1 << 32, 1])
 """Makes one number of the two of a square"""
 
@@ -43,8 +42,8 @@ def list_filled(cloud: Cloud) -> Int32:
 def find_body(far: Histogram, way: Int64, places: Sequence[Place]) -> Voxels:
     """Find where the robot is around a sensor.
 
-    It is there wherever the sensor goes, and from afar nothing is seen to stand there. What keeps
-    beside a straight way may be a shelf: so a part of it goes where the sensor went.
+    It is there wherever the sensor goes, and from afar nothing is seen to stand there. What stays
+    beside a straight way may be a shelf: so some of the robot goes where the sensor goes itself.
 
     Parameters
     ----------
