@@ -123,18 +123,17 @@ class Counter:
             while start < points:
                 start = heights.count_heights(laid, (far, around), start, nearest, room)
                 far, around = grow_table(far), grow_table(around)
+            view = stamp_ns, *sensor, *np.rint(1000 * cloud.origin).astype(np.int64).tolist()
+            self._see(sensor, view, cloud)
             if is_looked:
-                self._look_around(sensor, stamp_ns, laid)
-            self._see(sensor, stamp_ns, cloud)
+                self._look_around(sensor, view, cloud)
         with self._lock:
             idle[0].append(far)
             idle[1].append(around)
 
-    def _look_around(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
+    def _look_around(self, sensor: Sensor, view: View, cloud: Cloud) -> None:
         """Keep which voxels around its sensor a cloud fills, if it is the first of its place."""
-        x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
-        square = draw((x // BODY_MM << 32) + y // BODY_MM), 0.0
-        view = stamp_ns, *sensor, x, y, z
+        square = draw_square(view, BODY_MM), 0.0
         with self._lock:
             places = self._places[sensor]
             is_kept = would_keep(places, square, view, self._most_places)
@@ -143,25 +142,24 @@ class Counter:
             with self._lock:
                 keep_view(places, square, (view, place), self._most_places)
 
-    def _see(self, sensor: Sensor, stamp_ns: int, cloud: Cloud) -> None:
+    def _see(self, sensor: Sensor, view: View, cloud: Cloud) -> None:
         """Keep where a cloud was made, and the cloud if it may show whether walls stand upright."""
-        x, y, z = np.rint(1000 * cloud.origin).astype(np.int64).tolist()
-        area, square = (draw((x // side << 32) + y // side) for side in (AREA_MM, PLACE_MM))
-        seen = (stamp_ns, *sensor, x, y, z), cloud
+        drawn = draw_square(view, AREA_MM), draw_square(view, PLACE_MM)
         with self._lock:
-            self._ways[sensor].append((x, y, z, stamp_ns))
-            keep_view(self._views, (area, square), seen, self._most_views)
+            self._ways[sensor].append((*view[4:], view[0]))
+            keep_view(self._views, drawn, (view, cloud), self._most_views)
 
     def count(self) -> Counted:
-        """Give what was counted."""
+        """Give what was counted; the tables are handed over."""
         paths = {sensor: thin_path(np.array(way)) for sensor, way in sorted(self._ways.items())}
         views = {drawn: (view, sample_points(it)) for drawn, (view, it) in self._views.items()}
-        far, bodies = add_tables(self._idle.pop(None, [])), dict[Sensor, Voxels]()
+        idle, self._idle = self._idle, defaultdict(list)
+        far, bodies = add_tables(idle.pop(None, [])), dict[Sensor, Voxels]()
         for sensor, places in sorted(self._places.items()):
             seen = [place for _, (_, place) in sorted(places.items())]
             if body := find_body(far, np.array(self._ways[sensor]), seen):
                 bodies[sensor] = body
-        around = (it for sensor, idle in self._idle.items() if sensor not in bodies for it in idle)
+        around = (it for sensor, some in idle.items() if sensor not in bodies for it in some)
         return Counted(add_tables([far, *around]), paths, views, {}, bodies)
 
     @property
@@ -197,6 +195,12 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
         for drawn, seen in each.views.items():
             keep_view(views, drawn, seen, UPRIGHT_CLOUDS)
     return Counted(add_tables(tables), dict(sorted(paths.items())), views, drifts, bodies)
+
+
+def draw_square(view: View, side_mm: int) -> float:
+    """Draw a number for the square, of such a side, in which a cloud was made."""
+    x, y = view[4:6]
+    return draw((x // side_mm << 32) + y // side_mm)
 
 
 def would_keep(

@@ -67,9 +67,12 @@ def find_body(far: Histogram, way: Int64, places: Sequence[Place]) -> Voxels:
 def find_clear(far: Histogram, there: Float64) -> Bool:
     """Find which voxels are clear from afar (V,), where they come by (V, P, 3; m)."""
     clear, most = np.ones(len(there), np.bool_), MET_SHARE * there.shape[1]
+    if not len(there):  # as around most cars: a large table is not sorted for that
+        return clear
+    order = np.argsort(far.keys[: int(far.used[0])])
     # A few places are enough for most of the floor.
-    clear[clear] = look_up(far, there[:, :FEWEST_PLACES])[1].sum(axis=1) <= most
-    known, met = (each.sum(axis=1) for each in look_up(far, there[clear]))
+    clear[clear] = look_up(far, order, there[:, :FEWEST_PLACES])[1].sum(axis=1) <= most
+    known, met = (each.sum(axis=1) for each in look_up(far, order, there[clear]))
     clear[clear] = (known >= KNOWN_SHARE * there.shape[1]) & (met <= MET_SHARE * known)
     return clear
 
@@ -96,22 +99,28 @@ def join_parts(voxels: Int32, is_body: Bool) -> Voxels:
     return tuple(voxels[is_body].tolist())
 
 
-def look_up(table: Histogram, places: Float64) -> tuple[Bool, Bool]:
-    """Say of which places (..., 3; m) the column holds points that are no higher, or some there."""
-    order = np.argsort(table.keys[: int(table.used[0])])
-    keys = table.keys[order]
+def look_up(table: Histogram, order: Int64, places: Float64) -> tuple[Bool, Bool]:
+    """Say of which places (..., 3; m) the column holds points that are no higher, or some there.
+
+    Parameters
+    ----------
+    order
+        Of the keys of the table (K,), by which they ascend.
+    """
+    keys = table.keys[: len(order)]
     x, y, z = np.moveaxis(np.rint(places * 1000).astype(np.int64), -1, 0)
     row, col = (axis // COLUMN_MM & heights.WIDE - 1 for axis in (y, x))
     column = (row << 21 | col) << heights.PIECE_BITS
     lowest, highest = (z // heights.BIN_MM + bins for bins in MET_BINS)
     top = column + highest // heights.BINS + heights.HALF
-    is_known = np.searchsorted(keys, column) < np.searchsorted(keys, top, side="right")
-    is_met = np.zeros_like(is_known)
+    before = np.searchsorted(keys, column, sorter=order)
+    up_to = np.searchsorted(keys, top, side="right", sorter=order)
+    is_met = np.zeros(column.shape, np.bool_)
     for up in range(3):  # no more hold so many bins
         piece = lowest // heights.BINS + up
-        at = np.searchsorted(keys[:-1], column + piece + heights.HALF)
+        key = column + piece + heights.HALF
+        at = order[np.minimum(np.searchsorted(keys, key, sorter=order), len(order) - 1)]
         bins = piece[..., None] * heights.BINS + np.arange(heights.BINS)
         is_about = (bins >= lowest[..., None]) & (bins <= highest[..., None])
-        filled = is_about & (table.counts[order[at]] > 0)
-        is_met |= (keys[at] == column + piece + heights.HALF) & filled.any(axis=-1)
-    return is_known, is_met
+        is_met |= (keys[at] == key) & (is_about & (table.counts[at] > 0)).any(axis=-1)
+    return before < up_to, is_met

@@ -277,7 +277,9 @@ def drop_own_points(posed: PosedScans, options: ReturnOptions, body: Voxels = ()
     for cloud in posed.batch.clouds or ():
         points = cloud.points.copy()
         x, y = points[:, :2].T.astype(np.float64)
-        own = np.isin(number_voxels(points[:, :3]), of_body)
+        own = np.zeros(len(points), np.bool_)
+        if body:
+            own |= np.isin(number_voxels(points[:, :3]), of_body)
         if options.ignore_sectors:
             own |= find_inside(np.arctan2(y, x), options.ignore_sectors)
         if options.footprint is not None:
