@@ -131,7 +131,7 @@ def flatten(arg: Any, values: list[Any]) -> Any:
             address = arg.ctypes.data
         values.extend((None, None, arg.size, arg.itemsize, address, *arg.shape, *arg.strides))
         layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-        return arg.dtype.str, arg.ndim, layout, flags.aligned
+        return arg.dtype, arg.ndim, layout, flags.aligned
     if isinstance(arg, tuple):
         return type(arg), tuple([flatten(each, values) for each in arg])
     value = arg.item() if isinstance(arg, np.generic) else arg
@@ -158,9 +158,9 @@ def to_numba(kind: Any) -> Any:
     numba = load_numba()
     if isinstance(kind, type):
         return getattr(numba.types, SCALARS[kind])
-    if isinstance(kind[0], str):
+    if isinstance(kind[0], np.dtype):
         dtype, dimensions, layout, aligned = kind
-        of = numba.from_dtype(np.dtype(dtype))
+        of = numba.from_dtype(dtype)
         return numba.types.Array(of, dimensions, layout, aligned=aligned)
     made, items = kind[0], tuple(map(to_numba, kind[1]))
     return numba.types.BaseTuple.from_types(items, None if made is tuple else made)
