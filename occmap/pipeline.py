@@ -10,7 +10,7 @@ from occmap import writers
 from occmap.cells import Evidence, Manifest
 from occmap.choices import take
 from occmap.clouds import LOCAL
-from occmap.errors import MapError, name_log
+from occmap.errors import MapError, name_log, refuse_failures
 from occmap.evidence import UNEVEN_SHARE, count_steady, refuse_other
 from occmap.evidence import manifest as manifests
 from occmap.options import BuildOptions
@@ -30,6 +30,7 @@ from occmap.types import Journey, Paths, Update
 from occmap.writers.atomic import hold_alone
 
 
+@refuse_failures()
 def build(
     paths: Paths,
     options: BuildOptions,

@@ -379,6 +379,7 @@ def test_check_and_tune_give_what_the_commands_print() -> None:
         (occmap.build_map, "occmap.api.build"),
         (occmap.check, "occmap.inspection.inspect"),
         (occmap.compare, "occmap.page.compare_logs"),
+        (lambda log: occmap.build([log], BuildOptions()), "occmap.pipeline.open_past"),
         (occmap.tune, "occmap.tuning.tune"),
     ],
 )

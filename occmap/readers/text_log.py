@@ -2,6 +2,7 @@
 
 import gzip
 import math
+import re
 import zlib
 from abc import ABC, abstractmethod
 from codecs import BOM_UTF8
@@ -33,6 +34,8 @@ SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 NO_LOG = "this is not a text log; check what the file is"
 POSE_NAMES = ("x", "y", "yaw")
+_LONE_CR = re.compile(rb"[^\r\n]*\r[^\r\n]")
+"""How a text begins whose lines end as those of an old Mac"""
 
 
 class Line(NamedTuple):
@@ -96,6 +99,9 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
     damage: list[str] = []
     for piece in chain(_read_pieces(path, damage), [b""]):
         text += piece
+        if number == 1 and _LONE_CR.match(text):
+            fix = "end them as others do: tr '\\r' '\\n' < OLD > NEW"
+            raise LogError("its lines end in CR alone", where=path, fix=fix)
         end = text.rfind(b"\n") + 1
         if end and (len(text) >= BLOCK_BYTES or not piece):
             whole = bytes(memoryview(text)[:end])
