@@ -21,6 +21,7 @@ from occmap.scans.tracing import ignore_progress
 from occmap.sensor.models import QuadraticModel
 from occmap.store import open_store
 from occmap.types import Pose, Update
+from occmap.writers import WriteOptions
 from tests.clouds.simulation import HALL, turn, write_leaning, write_tour
 from tests.grid.scans import are_equal
 from tests.samples import DRIVES, SAMPLE_LOGS, write_late
@@ -82,7 +83,12 @@ def test_the_files_and_the_report_are_those_of_one_process(
 def test_a_worker_of_its_own_makes_the_same(
     alone: Callable[[BuildOptions], Made], tmp_path: Path
 ) -> None:
-    hold_equal(alone(PLAIN), PLAIN, Fleet("local", tmp_path / "scratch"), tmp_path)
+    """Edits go over its maps, too."""
+    edits = tmp_path / "edits.csv"
+    edits.write_text("free,box,10.9,-1.5,11.5,-0.9\n")
+    options = replace(PLAIN, writing=WriteOptions(edits=edits))
+    assert alone(options)[1][1] != alone(PLAIN)[1][1]
+    hold_equal(alone(options), options, Fleet("local", tmp_path / "scratch"), tmp_path)
 
 
 @pytest.mark.parametrize("corrected", ["", "level", "height_drift"])
