@@ -29,6 +29,8 @@ from occmap.scans import Keep
 from occmap.scans.align import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observed, Progress
+from occmap.store import open_store
+from occmap.store.painting import RenderOptions, open_map, survey_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Paths
 from occmap.writers.atomic import lock, make_folder, refuse_unwritable
@@ -113,6 +115,10 @@ class Fleet:
                     facts = crew.paint(records)
                 with tally.time("write"):
                     finish_store(store, manifest, records, crew.setting.keep.ground)
+                if options.writing.shapes:  # which may lie between blocks, or reach beyond the map
+                    edited = RenderOptions(writing=options.writing)
+                    shown = open_map(open_store(store), options.model, edited)
+                    facts = facts._replace(counts=survey_blocks(shown).counts)
         tally.notes += unaligned
         report = pipeline.make_report(options, [output], tally, facts, manifest)
         return replace(report, files=(str(output),))

@@ -292,10 +292,9 @@ def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int6
     box = job.block.box
     grid, made = paint_block(setting.store, job.block, keep=bool(job.pieces))
     reach = CellBox.around(made.observed, box.row, box.col)
-    writing = setting.options.writing
     agreeing = count_agreeing(grid, made.occupied, box)
     own = {key: grid.tiles[key] for key in box.shrink(TILE).places if key in grid.tiles}
-    cells = count_cells(writing.edit(made), writing)
+    cells = count_cells(made, setting.options.writing)
     return reach, np.array([*cells, *agreeing, *count_steady(own)])
 
 

@@ -68,6 +68,8 @@ class Table(NamedTuple):
     """Of times, as `values.UNITS` has it"""
     goes_on: bool = False
     """Others may follow"""
+    shape: str = SHAPES
+    """What to say of a line that is another"""
 
     @property
     def is_of_matrices(self) -> bool:
@@ -106,6 +108,7 @@ GRAPH = re.compile(r"VERTEX|EDGE|PARAMS_|FIX|PLATFORM_ID")
 NODE = re.compile(r"VERTEX_SE3:QUAT(?:_TIME)?\s+(\d+)\s+(.+)")
 """How lines of a pose graph begin, and one that holds a pose, behind its number"""
 NODES = ("x", "y", "z", *QUATERNION, "stamp", "stamp_nsec")
+NODE_SHAPE = "expected `VERTEX_SE3:QUAT n x y z qx qy qz qw`, and behind that `s ns` of `_TIME`"
 TUM = Table(("stamp", "x", "y", "z", *QUATERNION), None)
 EUROC = Table(("stamp", "x", "y", "z", "qw", "qx", "qy", "qz"), ",", values.NANOSECONDS, True)
 COUNTERS = re.compile(r"\d+\s+\d+\s+\d+")
@@ -169,7 +172,7 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
         fives = [lines[at : at + 5] for at in range(0, len(lines), 5)]
         lines = [(each[0][0], " ".join(text for _, text in each[1:])) for each in fives]
     if nodes := _list_nodes(lines):
-        form = Table(NODES[: len(nodes[0][1].split())], None)
+        form = Table(NODES[: len(nodes[0][1].split())], None, shape=NODE_SHAPE)
         return *_read_table(path, nodes, form, notes), False
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
@@ -215,7 +218,7 @@ def _read_table(
     sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
     columns, unit, note = values.settle_times(form.columns, form.unit, sample)
     form = form._replace(columns=columns, unit=unit)
-    if not (rows := list(_parse_lines(path, lines, form.parse))):
+    if not (rows := list(_parse_lines(path, lines, form.parse, form.shape))):
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times = [stamp_ns for stamp_ns, _ in rows if stamp_ns is not None]
     poses, doubt = np.array([numbers for _, numbers in rows]), ""

@@ -251,6 +251,8 @@ MOST_DROPPED = 0.5
 """Where more of the scans that were asked for are not used, hardly anybody wants the map"""
 LEAST_OBSTACLES = 0.001
 """Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
+NEAR_DEGREES = 0.05
+"""Edits of which every corner is so near to the map's longitude and latitude are hardly metres"""
 
 
 def list_notes(
@@ -369,9 +371,15 @@ def list_unwritten(
 
 
 def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
-    """Say that the user's edits hold no shape, or that some change no cell of a map."""
+    """Say that the user's edits hold no shape, or degrees, or some that change no cell of a map."""
     if writing.edits and not writing.shapes:
         yield f"{writing.edits}: holds no shape, so it edits nothing"
+    if writing.georeference and writing.shapes:
+        latitude, longitude, _ = writing.georeference
+        corners = np.concatenate([ring for each in writing.shapes for ring in each.rings])
+        if (np.abs(corners - (longitude, latitude)) < NEAR_DEGREES).all():
+            beside = "all corners are near the longitude and latitude of the map's zero"
+            yield f"{writing.edits}: {beside}: if they are degrees, write metres of the map"
     map_low, map_high = np.reshape(facts.extent, (2, 2))
     vain = []
     for shape in writing.shapes:

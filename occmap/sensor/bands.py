@@ -98,15 +98,15 @@ class RangeTally:
     def _keep(self, values: Float32, counts: Int64) -> None:
         """Add to the counts of values (N,), all different, and forget what no band can reach."""
         every = np.concatenate([self._counts, counts])
-        values, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
+        both, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
         counts = np.bincount(places, weights=every).astype(np.int64)
         at_or_above = np.cumsum(counts[::-1])[::-1]
         # Any band has so many readings at or above its top.
         if at_or_above.size and at_or_above[0] >= MIN_READINGS:
-            top = values[at_or_above >= MIN_READINGS][-1]
+            top = both[at_or_above >= MIN_READINGS][-1]
             self._floor = round_down(as_float32((1 - 2 * BAND) * float(top)))
-        kept = values >= self._floor
-        self._values, self._counts = values[kept], counts[kept]
+        kept = both >= self._floor
+        self._values, self._counts = both[kept], counts[kept]
 
     def find_band(self) -> Band | None:
         """Find the ranges that stand for "no return" below what the scans state as their limit."""

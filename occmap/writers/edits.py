@@ -193,7 +193,7 @@ def read_features(path: Path, text: str) -> Iterator[Shape]:
         try:
             said, geometry = feature["properties"], feature["geometry"]
             kind, parts = geometry["type"].lower(), geometry["coordinates"]
-            for part in parts if kind.startswith("multi") else [parts]:
+            for part in parts if parts and kind.startswith("multi") else [parts]:
                 name, rings = kind.removeprefix("multi"), part
                 if name == "linestring":
                     name, rings = "line", [part]

@@ -71,11 +71,6 @@ def test_a_named_file_goes_before_the_one_beside_the_logs_and_a_typed_value_befo
     assert make_map(words)["map"]["resolution"] == resolution
 
 
-def test_a_file_may_begin_with_a_byte_order_mark() -> None:
-    write("\ufeffresolution = 0.1\r\n")
-    assert make_map()["map"]["resolution"] == 0.1
-
-
 def test_flags_and_options_of_one_command() -> None:
     build = "[build]\nlight-occupied = true\nstrict = false\n"
     write(f'stride = 3\n{build}[check]\nfail-if = "warnings > 0"\n')
@@ -142,7 +137,7 @@ def test_a_value_that_is_refused_later_comes_after_the_file() -> None:
 
 
 def test_only_what_takes_effect_is_told() -> None:
-    write("resolution = 0.1\nstride = 2")
+    write("\ufeffresolution = 0.1\r\nstride = 2")  # begun by a byte order mark, which says nothing
     assert make_map("-r 0.2")["notes"] == [f"{FILE_BESIDE}: stride = 2"]
     assert make_map("-r 0.2 --stride 3")["notes"] == [f"{FILE_BESIDE}: {NOTHING}"]
 

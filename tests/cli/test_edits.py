@@ -138,13 +138,20 @@ def test_a_shape_without_effect_is_named(shape: str, is_vain: bool) -> None:
             assert "x -9.035 to -7.965 m, y 1.965 to 2.035 m" in notes[0]
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", '{"features": []}'])
-def test_a_file_without_a_shape_is_told(text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        *((text, "edits.csv: holds no shape") for text in ("", "# nothing\n", '{"features": []}')),
+        ("free,line,1,0.5,1.01,0.51", "if they are degrees"),
+        ("free,line,1,0.5,1.1,0.51", ""),
+    ],
+)
+def test_a_file_without_a_shape_or_of_degrees_is_told(text: str, told: str) -> None:
     Path("edits.csv").write_text(text)
     assert occmap("build", DRIVE, "-o", "m.npz", "-q").code == 0
     for line in (("build", DRIVE), ("render", "m.npz")):
-        made = occmap(*line, "-o", "m.pgm", "--edits", "edits.csv")
-        assert (made.code, "edits.csv: holds no shape" in made.err) == (0, True)
+        made = occmap(*line, "--georeference", "0.5,1,0", "-o", "m.png", "--edits", "edits.csv")
+        assert (made.code, told in made.err, "edits.csv" in made.err) == (0, True, told != "")
 
 
 def test_diff_tells_changes_where_edits_lie_from_others() -> None:

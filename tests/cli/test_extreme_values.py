@@ -80,8 +80,9 @@ def test_a_yaml_with_numbers_beyond_their_types_or_that_unfolds() -> None:
 def test_a_picture_of_changes_spares_the_image_that_a_yaml_names() -> None:
     image = Path("m.png").read_bytes()
     named = change_yaml("image", "m.png")
-    for maps in ([named, "m.pgm"], ["m.pgm", named]):
-        assert "m.png: is an input" in read_error(occmap("diff", *maps, "-o", "m.png"), 2)
+    for maps in (f"{named} m.pgm", f"m.pgm {named}"):
+        for line in (f"diff {maps}", f"score {maps.replace(' ', ' --truth ')}"):
+            assert "m.png: is an input" in read_error(occmap(f"{line} -o m.png"), 2)
         assert Path("m.png").read_bytes() == image
     assert occmap("diff", named, "m.pgm", "-o", "changes.png").code == 0
     assert Path("changes.png").exists()

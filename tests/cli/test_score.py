@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.cli.runner import ask, occmap, read_error
+from tests.cli.runner import ask, occmap
 from tests.samples import SAMPLE_LOGS
 
 DRIVE, PLAN = SAMPLE_LOGS / "drive.mcap", SAMPLE_LOGS / "floor_plan.yaml"
@@ -52,14 +52,3 @@ def test_what_does_not_belong_together_is_told(made: Path, tmp_path: Path) -> No
     doubts = occmap("score", hall, "--log", DRIVE, "--truth", made, "--fit").err
     assert "it is not sure how the drive lies on the map: " in doubts
     assert f"it is not sure how the map lies on {made}: " in doubts
-
-
-def test_the_picture_is_never_written_over_the_image_of_a_map(made: Path, tmp_path: Path) -> None:
-    plan = tmp_path / "plan.png"
-    Image.open(PLAN.with_suffix(".pgm")).save(plan)
-    text = PLAN.read_text().replace("floor_plan.pgm", "plan.png")
-    (tmp_path / "plan.yaml").write_text(text)
-    before = plan.read_bytes()
-    words = ["score", made, "--truth", tmp_path / "plan.yaml", "-o", plan]
-    assert "is an input" in read_error(occmap(*words), 2)
-    assert plan.read_bytes() == before

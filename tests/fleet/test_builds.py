@@ -21,6 +21,7 @@ from occmap.scans.tracing import ignore_progress
 from occmap.sensor.models import QuadraticModel
 from occmap.store import open_store
 from occmap.types import Pose, Update
+from occmap.writers import WriteOptions
 from tests.clouds.simulation import HALL, turn, write_leaning, write_tour
 from tests.grid.scans import are_equal
 from tests.samples import DRIVES, SAMPLE_LOGS, write_late
@@ -79,10 +80,20 @@ def test_the_files_and_the_report_are_those_of_one_process(
     hold_equal(alone(options), options, Fleet(address, tmp_path / "scratch"), tmp_path)
 
 
+def draw(folder: Path, shapes: str) -> WriteOptions:
+    """Ask for edits over a map, in a file beside the folder of a test."""
+    edits = folder.with_suffix(".csv")
+    edits.write_text(shapes)
+    return WriteOptions(edits=edits)
+
+
 def test_a_worker_of_its_own_makes_the_same(
     alone: Callable[[BuildOptions], Made], tmp_path: Path
 ) -> None:
-    hold_equal(alone(PLAIN), PLAIN, Fleet("local", tmp_path / "scratch"), tmp_path)
+    """Edits go over its maps, too."""
+    options = replace(PLAIN, writing=draw(tmp_path, "free,box,10.9,-1.5,11.5,-0.9\n"))
+    assert alone(options)[1][1] != alone(PLAIN)[1][1]
+    hold_equal(alone(options), options, Fleet("local", tmp_path / "scratch"), tmp_path)
 
 
 @pytest.mark.parametrize("corrected", ["", "level", "height_drift"])
@@ -127,6 +138,8 @@ RADIAL = BuildOptions(update=Update.BEAM, model=QuadraticModel(), jobs=1)
 def test_it_holds_what_one_process_writes(
     address: str, tmp_path: Path, logs: list[Path], options: BuildOptions
 ) -> None:
+    if options is RADIAL:
+        options = replace(options, writing=draw(tmp_path, "occupied,box,-100,-100,100,0\n"))
     alone = build(logs, options, [tmp_path / "alone.zarr"]).report
     fleet = Fleet(address, tmp_path / "scratch")
     together = fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)

@@ -26,9 +26,11 @@ def path_of(tree: FrameTree, upper: str, lower: str) -> list[str] | None:
 
 
 def test_the_path_goes_from_the_upper_frame_to_the_lower() -> None:
-    tree = tree_of("odom>base", "map>odom", "base>laser")
+    tree = tree_of("odom>base", "map>odom", "base>laser", "base>camera")
     assert path_of(tree, "map", "laser") == ["map>odom", "odom>base", "base>laser"]
     assert path_of(tree, "map", "map") == []
+    assert tree.list_ancestors("laser") == ["laser", "base", "odom", "map"]
+    assert tree.find_root("laser") == "map"
 
 
 def test_a_frame_that_hangs_below_the_robot_can_be_the_map() -> None:
@@ -77,12 +79,6 @@ def test_what_the_user_gives_goes_before_tf() -> None:
 def test_of_two_equal_odometry_topics_the_name_decides(topics: tuple[str, str]) -> None:
     tree = FrameTree(edge("odom", "base", Source.ODOMETRY, topic) for topic in topics)
     assert [found.topic for found in tree.edges] == ["/a"]
-
-
-def test_ancestors_are_listed_nearest_first() -> None:
-    tree = tree_of("map>odom", "odom>base", "base>laser", "base>camera")
-    assert tree.list_ancestors("laser") == ["laser", "base", "odom", "map"]
-    assert tree.find_root("laser") == "map"
 
 
 def test_the_last_part_of_a_name_is_without_its_namespace() -> None:

@@ -189,6 +189,7 @@ def test_of_a_camera_poses_of_any_format_are_in_a_robots_axes(tmp_path: Path) ->
         ("12,1,2,3\n", 1, "no header says what the columns are"),
         (f"{EUROC}\n1.5,1,2,3,1,0,0,0\n", 2, "'1.5' is not a time in nanoseconds"),
         ("99999999999999999999,1,2,3,1,0,0,0\n", 1, "is not a time in nanoseconds"),
+        (NODE.format("_TIME 7 1", "1e10 0"), 1, "is not a time in seconds"),
     ],
 )
 def test_a_bad_line_is_named(tmp_path: Path, text: str, line: int, found: str) -> None:
@@ -196,6 +197,7 @@ def test_a_bad_line_is_named(tmp_path: Path, text: str, line: int, found: str) -
         read(tmp_path, text)
     message = str(caught.value)
     assert message.startswith(f"{tmp_path / 'poses.txt'}:{line}: ")
+    assert ("VERTEX" in message) == text.startswith("VERTEX")
     assert found in message
     assert "\n" not in message
     assert len(message) < 400 + len(str(tmp_path))

@@ -1,11 +1,8 @@
 """Limits as they are typed: what they mean, when they hold, and what is said of them."""
 
-import math
-
 import pytest
 
 from occmap.errors import UsageError
-from occmap.report import to_plain
 from occmap.report.limits import COUNT, SHARE, Measure, parse_limit
 
 MEASURES = (
@@ -63,12 +60,6 @@ def test_the_sentence_tells_the_value_from_the_bound(
     assert fails(text, **result) == [sentence]
 
 
-def test_only_a_limit_that_is_broken_fails() -> None:
-    failed = parse_limit("scans < 5", MEASURES).find_failure({"scans": 4})
-    assert to_plain(failed) == {"name": "scans", "value": 4, "limit": "scans < 5"}
-    assert parse_limit("lost > 5%", MEASURES).find_failure({"lost": 0}) is None
-
-
 @pytest.mark.parametrize("text", ["0.1%", "7%", "12.5%", "100%"])
 def test_a_limit_is_written_as_it_is_read(text: str) -> None:
     assert parse_limit(f"lost > {text}", MEASURES).condition == f"> {text}"
@@ -100,7 +91,3 @@ def test_what_is_no_limit_is_refused(text: str, found: str) -> None:
         parse_limit(text, MEASURES)
     assert str(caught.value).startswith(f"`limits` {text!r}: ")
     assert found in str(caught.value)
-
-
-def test_a_bound_is_finite() -> None:
-    assert math.isfinite(parse_limit("gap > 1e300", MEASURES).bound)

@@ -117,6 +117,7 @@ def test_forbidden_shapes_leave_the_map_alone(tmp_path: Path) -> None:
             (json.dumps({"features": [feature(kind, places, {"class": "free"})]}), "feature 1")
             for kind, places in (
                 ("Polygon", [[[1], [2], [3]]]),
+                ("MultiPolygon", []),
                 ("Polygon", [[[0, 0], [math.inf, 1], [1, 0]]]),
                 ("Point", [1, 2]),
             )

@@ -13,6 +13,7 @@ from occmap.cells import Decision, OccupancyMap
 from occmap.errors import OutputError
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.pgm import PgmWriter, written_thresholds
+from occmap.writers.png import PngWriter
 from tests.map_loaders import Grid, load_nav2, load_ros1, read_pgm
 from tests.writers.maps import map_of, map_of_art
 
@@ -245,9 +246,13 @@ def test_written_thresholds_keep_the_users_where_the_greys_allow() -> None:
 @pytest.mark.parametrize("mode", list(MapMode))
 def test_bands_do_not_show(monkeypatch: pytest.MonkeyPatch, mode: MapMode) -> None:
     grid = map_of(np.random.default_rng(1).uniform(0.01, 0.99, (37, 11)))
-    whole = write(grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes()
-    monkeypatch.setattr(writers, "BAND_CELLS", 25)
-    assert write(grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes() == whole
+    made = []
+    for cells in (writers.BAND_CELLS, 25):
+        monkeypatch.setattr(writers, "BAND_CELLS", cells)
+        for writer in (PgmWriter(), PngWriter()):
+            writer.write(Path("map"), grid, WriteOptions(mode))
+            made.append(Path("map").read_bytes())
+    assert made[:2] == made[2:]
 
 
 def test_when_the_yaml_cannot_be_written_there_is_no_image_either(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap import writers
 from occmap.cells import CellClass, OccupancyMap
 from occmap.difference.maps import load_map
 from occmap.writers import Shade, WriteOptions
@@ -40,16 +39,6 @@ def test_light_occupied_is_the_negative(tmp_path: Path) -> None:
     options = WriteOptions(shade=Shade.LIGHT_OCCUPIED)
     PngWriter().write(tmp_path / "m.png", map_of([[0.2, np.nan, 0.999]]), options)
     assert read(tmp_path / "m.png") == [[[51, 255], [127, 0], [255, 255]]]
-
-
-def test_same_map_same_bytes_whatever_the_bands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    grid = map_of(np.random.default_rng(2).uniform(0.01, 0.99, (40, 9)))
-    PngWriter().write(tmp_path / "a.png", grid, WriteOptions())
-    monkeypatch.setattr(writers, "BAND_CELLS", 20)
-    PngWriter().write(tmp_path / "b.png", grid, WriteOptions())
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 GREY = {CellClass.NEITHER: 205, CellClass.FREE: 254, CellClass.OCCUPIED: 0}
