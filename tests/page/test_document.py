@@ -182,7 +182,7 @@ def test_without_bokeh_one_line_says_what_to_type(
 ) -> None:
     monkeypatch.setitem(sys.modules, "bokeh", None)
     told = read_error(occmap(command, DRIVE, "-o", "m.html"), 2)
-    assert "bokeh, which is not installed; install it: pip install 'bokeh>=3.6' 'jinja2" in told
+    assert "bokeh, which is not installed; install it: pip install 'bokeh>=3.8' 'jinja2" in told
 
 
 KNOWN = {"#": 3.0, ".": -3.0, "?": 0.0, " ": 0.0}
