@@ -21,9 +21,8 @@ from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32,
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 """The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
 in the map already: often where the robot stands."""
-BESIDE, BY, UNDER = 7, 27, 2
-"""Columns beside the path that the ground grows from, that the robot passes by, and that it stands
-on"""
+BESIDE, UNDER = 7, 2
+"""Columns beside the path that the ground grows from, and that the robot stands on"""
 FEWEST_SEEDS, AROUND = 100, 80
 """Where fewer columns under the path show anything, the robot hardly moved, or never sees its way.
 What lies near it may be tables: the ground is what lies low in so many columns around."""
@@ -38,8 +37,6 @@ KNOWN_POINTS = 1000
 NO_PEAKS = Peaks(*np.zeros((4, 0), np.int32))
 REACHES = (1, 2, 4, 8, 16)
 """How far the ground reaches over columns without points (columns), one after the other"""
-PASSES = 2
-"""The ground grows so often: what it reached only over a low thing or up a kerb, it then loses"""
 ROUNDS = 4
 SQUARE_MM, STOREY_MM = 1000, 1800
 """Where a path comes by a square again, so much higher, it is on another storey"""
@@ -108,7 +105,7 @@ def derive_ground(
     if not measured.any():
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
     fill_around(blocks, height)
-    holes = find_holes(columns, height, measured, options)
+    holes, stands = find_holes(columns, height, measured, options)
     if laid is not None:
         holes |= list_known_holes(blocks, laid, measured)
     height[holes] = NO_GROUND
@@ -119,7 +116,7 @@ def derive_ground(
     )
     notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
     notes += [*list_storeys(stood), *list_others(seats)]
-    notes += list_own(columns, counted.path, height, options)
+    notes += list_own(columns, counted.path, stands & (height != NO_GROUND))
     return pack_ground(blocks, height, measured), notes
 
 
@@ -162,6 +159,8 @@ def grow(
 ) -> Int32:
     """Let the ground grow from under the path, without what is low and stands on it (C,).
 
+    It grows twice: what it reached only over a low thing or up a kerb, it then loses.
+
     Parameters
     ----------
     columns
@@ -172,26 +171,30 @@ def grow(
         (C,) what was found first (mm). Levels that are not reached go on from there: a kerb that
         poses blur is a way up, and a sharp one is none.
     """
-    blocks, height, grown = columns.blocks, np.empty_like(columns.peaks.first), []
-    for _ in range(PASSES):
-        found = find_nothing(columns)
-        for seat in seats:
-            look_beside(columns, seat.path, (seat.beside, BY, UNDER), seat.layer, found)
-        keep_known(known, found)
-        go_on(columns, found)
-        if before is not None:
-            growth.keep_levels(columns.peaks, before, found)
-            go_on(columns, found)
-        growth.drop_raised(blocks, found, height)
-        raised = np.flatnonzero(height != found.height)
-        lower(columns.peaks, raised, height[raised], found.weight[raised])
-        grown.append(found)
-    del grown[1:], found  # which take much memory
-    growth.restore_levels(blocks, grown[0], height)
+    blocks, height = columns.blocks, np.empty_like(columns.peaks.first)
+    first = grow_all(columns, seats, known, before)
+    drop_low(columns, first, height)
+    drop_low(columns, grow_all(columns, seats, known, before), height)
+    growth.restore_levels(blocks, first, height)
     smooth = np.empty_like(height)
-    growth.smooth_ground(blocks, columns.peaks, grown[0], height, smooth)
-    keep_known(known, grown[0]._replace(height=smooth))
+    growth.smooth_ground(blocks, columns.peaks, first, height, smooth)
+    keep_known(known, first._replace(height=smooth))
     return smooth
+
+
+def grow_all(
+    columns: Shown, seats: Sequence[Seat], known: Ground | None, before: Int32 | None
+) -> Found:
+    """Let the ground grow with all that stands on it; parameters are those of `grow`."""
+    found = find_nothing(columns)
+    for seat in seats:
+        look_beside(columns, seat.path, (seat.beside, UNDER), seat.layer, found)
+    keep_known(known, found)
+    go_on(columns, found)
+    if before is not None:
+        growth.keep_levels(columns.peaks, before, found)
+        go_on(columns, found)
+    return found
 
 
 def go_on(columns: Shown, found: Found) -> None:
@@ -203,12 +206,23 @@ def go_on(columns: Shown, found: Found) -> None:
             growth.grow_ground(blocks, peaks, found, 1, every, queue)
 
 
+def drop_low(columns: Shown, found: Found, height: Int32) -> None:
+    """Fill the heights of the ground (C,; mm) without low things, which show nothing else then.
+
+    That is written over the first of their peaks, since a copy of all would take much memory.
+    """
+    growth.drop_raised(columns.blocks, found, height)
+    low, peaks = np.flatnonzero(height != found.height), columns.peaks
+    first, peaks.many[low] = peaks.first[low], 1
+    peaks.height[first], peaks.weight[first] = height[low], found.weight[low]
+
+
 def fill(blocks: Blocks, height: Int32, rounds: int, peaks: Peaks = NO_PEAKS) -> None:
     """Fill columns without ground (C,) from those beside them, one ring a round.
 
     They take the mean of these, or a peak near it where there are peaks.
     """
-    found = Found(height, np.zeros(len(height), np.int32), np.zeros(0, np.uint8))
+    found = Found(height, np.zeros(len(height), np.int32), np.zeros(0, np.bool_))
     growth.grow_ground(blocks, peaks, found, 1, rounds, np.empty((2, len(height)), np.int64))
 
 
@@ -223,22 +237,29 @@ def fill_around(blocks: Blocks, height: Int32) -> None:
         height[at] = np.rint(plane.find_heights(list_places(blocks, at)))
 
 
-def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
+def find_holes(
+    columns: Shown, height: Int32, measured: Bool, options: CloudOptions
+) -> tuple[Bool, Bool]:
     """Find columns (C,) that have no ground, since points lie deep below where it would be.
 
     Holes go on to the columns around, as far as ground is filled in, if no ground was measured in
     them and nothing that stands on it.
+
+    Returns
+    -------
+    Which have none, and on which something stands.
     """
     deep, standing = np.zeros((2, len(height)), np.int32)
     heights.count_apart(columns.pieces, height, (-DEEP_MM, *options.band_mm), deep, standing)
-    is_open = ~measured & (height != NO_GROUND) & (standing < FEWEST_POINTS)
+    stands = standing >= FEWEST_POINTS
+    is_open = ~measured & (height != NO_GROUND) & ~stands
     reached = np.where(~measured & (deep >= FEWEST_POINTS), np.int32(0), np.int32(NO_GROUND))
     del deep, standing  # which take much memory
     # A hole goes on as ground does: at a height of 0, to open columns, which share a peak there.
     zero, one = np.zeros(1, np.int32), np.ones(1, np.int32)
     ways = Peaks(np.zeros(len(height), np.int32), is_open.astype(np.int32), zero, one)
     fill(columns.blocks, reached, FILLED, ways)
-    return np.asarray(is_open & (reached == 0))
+    return is_open & (reached == 0), stands
 
 
 def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
@@ -251,11 +272,11 @@ def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
 def find_nothing(columns: Shown) -> Found:
     """Begin to look for the ground of columns."""
     height = np.full_like(columns.peaks.first, NO_GROUND)
-    return Found(height, np.zeros(len(height), np.int32), np.zeros(len(height), np.uint8))
+    return Found(height, np.zeros(len(height), np.int32), np.zeros(len(height), np.bool_))
 
 
 def look_beside(
-    columns: Shown, path: Int64, reach: tuple[int, int, int], layer: Layer, found: Found
+    columns: Shown, path: Int64, reach: tuple[int, int], layer: Layer, found: Found
 ) -> Int64:
     """Add to the ground what lies so deep below a sensor, beside its path.
 
@@ -267,15 +288,6 @@ def look_beside(
     depths = np.zeros((layer.most - layer.least) // BIN_MM + 1, np.int64)
     growth.look_beside(columns.blocks, columns.peaks, path, reach, layer, found, depths)
     return np.repeat(layer.least + np.arange(len(depths)) * BIN_MM + BIN_MM // 2, depths)
-
-
-def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> None:
-    """Let raised columns (N,) show nothing but the ground around them, by its level and weight.
-
-    That is written over the first of their peaks, since a copy of all would take much memory.
-    """
-    first = peaks.first[raised]
-    peaks.many[raised], peaks.height[first], peaks.weight[first] = 1, level, weight
 
 
 class Plane(NamedTuple):
@@ -379,24 +391,18 @@ def list_others(seats: Sequence[Seat]) -> Iterator[str]:
             )
 
 
-def list_own(columns: Shown, path: Int64, height: Int32, options: CloudOptions) -> Iterator[str]:
-    """Say if points stand on the ground (C,; mm) where sensors went themselves, along their path.
+def list_own(columns: Shown, path: Int64, stands: Bool) -> Iterator[str]:
+    """Say if points stand on the ground (C,) where sensors went themselves, along their path.
 
     What is in the way of a robot cannot be where it drove.
     """
-    way, pieces = find_nothing(columns), columns.pieces
-    look_beside(columns, path, (0, 0, 0), Layer(0, 0, 0), way)
-    is_way = (way.passed == growth.STOOD) & (height != NO_GROUND)
-    some = is_way[pieces.column]
-    of_way = Pieces(pieces.column[some], pieces.keys[some], pieces.at[some], pieces.counts)
-    deep, standing = np.zeros((2, len(height)), np.int32)
-    heights.count_apart(of_way, height, (-DEEP_MM, *options.band_mm), deep, standing)
-    many = int(np.count_nonzero(is_way))
-    share = np.count_nonzero(standing >= FEWEST_POINTS) / max(many, 1)
-    if many >= LEAST_WAY and share > OWN_SHARE:
+    way = find_nothing(columns)
+    look_beside(columns, path, (0, 0), Layer(0, 0, 0), way)
+    own = stands[way.stood]
+    if len(own) >= LEAST_WAY and own.mean() > OWN_SHARE:
         yield (
-            f"something stands in {share:.0%} of the columns that the sensor itself went over: "
-            f"people who walk behind it, or {ITSELF}"
+            f"something stands in {own.mean():.0%} of the columns that the sensor itself went "
+            f"over: people who walk behind it, or {ITSELF}"
         )
 
 
@@ -488,7 +494,7 @@ def measure_seat(
     sensors, under = tuple(paths), find_nothing(columns)
     path = thin_path(np.concatenate([*paths.values()]))
     band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
-    seen = look_beside(columns, path, (UNDER, 0, 0), Layer(*band, STRAY), under)
+    seen = look_beside(columns, path, (UNDER, 0), Layer(*band, STRAY), under)
     beside, share, lean = BESIDE, 0.5, (0.0, 0.0)
     if np.count_nonzero(under.height != NO_GROUND) < FEWEST_SEEDS:
         beside, share = AROUND, 1 - LOWEST_SHARE
@@ -531,7 +537,7 @@ def look_around(
     Depths (N,; mm), and by how much the plane rises (mm) to the next column and row.
     """
     around = find_nothing(columns)
-    look_beside(columns, place[None], (AROUND, 0, 0), Layer(*band, 1), around)
+    look_beside(columns, place[None], (AROUND, 0), Layer(*band, 1), around)
     at = np.flatnonzero(around.height != NO_GROUND)
     if not len(at):
         return at, (0.0, 0.0)
@@ -556,7 +562,7 @@ def keep_known(known: Ground | None, found: Found) -> None:
     if known is not None:
         there = known.measured.ravel()
         found.height[there] = known.height_mm.ravel()[there]
-        found.weight[there], found.passed[there] = KNOWN_POINTS, growth.STOOD
+        found.weight[there], found.stood[there] = KNOWN_POINTS, True
 
 
 def pack_ground(blocks: Blocks, height: Int32, measured: Bool) -> Ground:

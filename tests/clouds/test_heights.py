@@ -9,9 +9,9 @@ from occmap.cells import Ground
 from occmap.clouds import CloudOptions, draw, ground
 from occmap.clouds.counting import add_tables, make_table
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import PASSED, STOOD, Found
+from occmap.clouds.kernels.growth import Found
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, SOME, Pieces, list_peaks, pack
-from occmap.types import NO_GROUND, Float64, Int32, UInt8
+from occmap.types import NO_GROUND, Bool, Float64, Int32
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
     columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((4, 0), np.int64)))
     found = ground.find_nothing(columns)
     ground.look_beside(
-        columns, np.array([[75, 75, 900]]), (7, 0, 0), growth.Layer(700, 1300, growth.STRAY), found
+        columns, np.array([[75, 75, 900]]), (7, 0), growth.Layer(700, 1300, growth.STRAY), found
     )
     assert found.height[0] == height
 
@@ -138,14 +138,14 @@ def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
     column, at = np.array([[at for at, *_ in counted], range(len(keys))], np.int32)
     pieces = Pieces(column, keys, at, counts)
     columns = ground.Shown(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
-    found = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
+    found, _ = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
     assert np.flatnonzero(found).tolist() == list(holes)
 
 
-def drop(height: Int32, weight: Int32, passed: UInt8) -> Int32:
+def drop(height: Int32, weight: Int32, stood: Bool) -> Int32:
     """Give the heights after low things were looked for."""
     base = np.empty_like(height)
-    growth.drop_raised(BLOCKS, growth.Found(height, weight, passed), base)
+    growth.drop_raised(BLOCKS, growth.Found(height, weight, stood), base)
     return base
 
 
@@ -156,24 +156,21 @@ def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
     heights = lay({650: 40, 651: -160, 652: -160})
     weight = lay({650: 100, 651: 1, 652: points - 1}, 0)
 
-    base = drop(heights, weight, np.zeros(heights.size, np.uint8))
+    base = drop(heights, weight, np.zeros(heights.size, np.bool_))
 
     assert base[650] == height
     assert base[651] == -160
 
 
 @pytest.mark.parametrize(
-    ("step", "passed", "is_dropped"),
-    # A step from one column to the next is more than 60 + 0.12 x 150 = 78 mm, far away 156 mm.
-    [
-        *((77, PASSED, False), (79, PASSED, True), (79, STOOD, False), (155, 0, False)),
-        *((157, 0, True), (299, PASSED, True), (300, PASSED, False)),
-    ],
+    ("step", "stood", "is_dropped"),
+    # A step from one column to the next is more than 60 + 0.12 x 150 = 78 mm.
+    [(77, 0, False), (79, 0, True), (79, 1, False), (299, 0, True), (300, 0, False)],
 )
-def test_a_step_is_higher_where_the_robot_did_not_pass(
-    step: int, passed: int, is_dropped: bool
+def test_a_step_is_of_a_low_thing_where_the_robot_did_not_stand(
+    step: int, stood: int, is_dropped: bool
 ) -> None:
-    where = lay({650: passed}, 0).astype(np.uint8)
+    where = lay({650: stood}, 0).astype(np.bool_)
 
     base = drop(lay({650: step, 651: 0}), lay({650: 5, 651: 9}, 0), where)
 
@@ -196,7 +193,7 @@ def test_a_level_that_goes_on_is_given_back_but_for_its_brink(
     level: int, wide: int, lost: list[int]
 ) -> None:
     first = lay_rows([0] * 20 + [level] * wide + [0] * 20)
-    near = np.full(first.size, PASSED, np.uint8)
+    near = np.zeros(first.size, np.bool_)
     base = lay_rows([0] * 60)  # all that was raised is lowered
 
     growth.restore_levels(BLOCKS, growth.Found(first, np.ones_like(first), near), base)
@@ -206,20 +203,20 @@ def test_a_level_that_goes_on_is_given_back_but_for_its_brink(
 
 
 @pytest.mark.parametrize(
-    ("level", "first", "passed", "smooth"),
+    ("level", "first", "stood", "smooth"),
     [
-        (20, 0, PASSED, 54),
-        (100, 0, PASSED, 14),  # a brink has the ground below it
-        (100, 0, STOOD, 80),
-        (100, 90, PASSED, 80),  # what lies lower is the brink
+        (20, 0, False, 54),
+        (100, 0, False, 14),  # a brink has the ground below it
+        (100, 0, True, 80),
+        (100, 90, False, 80),  # what lies lower is the brink
     ],
 )
 def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high(
-    level: int, first: int, passed: int, smooth: int
+    level: int, first: int, stood: bool, smooth: int
 ) -> None:
     found, points = np.array([[0, 100, 20, 80], [6, 9, 3, 1]], np.int32)
     peaks = growth.Peaks(lay({650: 0, 651: 2}, 0), lay({650: 2, 651: 2}, 0), found, points)
-    was, base = Found(lay({650: first}), lay({}, 0), np.full(4096, passed, np.uint8)), lay({})
+    was, base = Found(lay({650: first}), lay({}, 0), np.full(4096, stood)), lay({})
 
     growth.smooth_ground(BLOCKS, peaks, was, lay({650: 0, 651: level}), base)
 
@@ -292,7 +289,7 @@ def test_levels_that_were_ground_are_kept_where_a_peak_still_shows_them() -> Non
     first, many = np.array([[0, 1, 3], [1, 2, 1]], np.int32)
     height, weight = np.array([[100, 148, 300, 500], [5, 7, 9, 4]], np.int32)
     before, now = np.array([[100, 150, 150], [20, none := NO_GROUND, none]], np.int32)
-    found = Found(now, np.zeros(3, np.int32), np.zeros(3, np.uint8))
+    found = Found(now, np.zeros(3, np.int32), np.zeros(3, np.bool_))
 
     growth.keep_levels(growth.Peaks(first, many, height, weight), before, found)
 
@@ -305,7 +302,7 @@ def test_levels_that_were_ground_are_kept_where_a_peak_still_shows_them() -> Non
 )
 def test_a_column_at_a_brink_has_the_ground_of_the_lower_side(back: int, below: int) -> None:
     heights = lay({64 * 5 + 5: 0, 64 * 5 + 6: -70, 64 * 5 + 4: back})
-    first = Found(heights.copy(), np.zeros_like(heights), np.zeros(len(heights), np.uint8))
+    first = Found(heights.copy(), np.zeros_like(heights), np.zeros(len(heights), np.bool_))
     assert growth.find_below(BLOCKS, first, heights, 64 * 5 + 5) == below
 
 
@@ -316,13 +313,12 @@ def test_a_level_ends_where_what_lies_beside_it_is_hidden(is_seen: bool) -> None
     heights = lay({row + col: 0 for row in rows for col in range(12)})
     heights[[row + 13 for row in rows]] = -200
     heights[[row + 12 for row in rows]] = 0 if is_seen else NO_GROUND
-    passed, weight = np.full(len(heights), PASSED, np.uint8), np.ones_like(heights)
-    found = Found(heights, weight, passed)
+    found = Found(heights, np.ones_like(heights), np.zeros(len(heights), np.bool_))
     assert growth.is_level(BLOCKS, found, 64 * 10 + 11) == is_seen
 
 
 def test_a_ridge_is_no_level() -> None:
     """The ways to what lies lower, on both sides, cancel out."""
     heights = lay({64 * row + col: -200 * (col != 10) for row in range(20) for col in range(21)})
-    found = Found(heights, np.ones_like(heights), np.full(len(heights), PASSED, np.uint8))
+    found = Found(heights, np.ones_like(heights), np.zeros(len(heights), np.bool_))
     assert not growth.is_level(BLOCKS, found, 64 * 10 + 10)

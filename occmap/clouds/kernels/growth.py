@@ -1,4 +1,9 @@
-"""The ground: columns in blocks, what grows from under the path, and what is filled beside it."""
+"""The ground: columns in blocks, what grows from under the path, and what is filled beside it.
+
+`look_beside` begins under the path, and `grow_ground` goes on from column to column. `drop_raised`
+takes out what stands on it, `restore_levels` gives back pavements, and `smooth_ground` takes the
+mean of all visits. `occmap.clouds.ground` calls them in this order.
+"""
 
 from typing import NamedTuple
 
@@ -6,7 +11,7 @@ import numpy as np
 
 from occmap.clouds.kernels.heights import BIN_MM
 from occmap.jit import kernel, step
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Int32, Int64
 
 BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
@@ -16,8 +21,6 @@ between columns that differ by no more"""
 SMOOTH, ALIKE_MM = 4, 90
 """So far around it (columns) the ground of a column is the mean of what lies so near to its own: of
 a step as high as the clearance it is one side, and floor that two visits show 8 cm apart is one"""
-PASSED, STOOD = 1, 2
-"""Columns that the robot passed by, and those that it stood on"""
 QUEUED = -1
 """Stands for the points of a column that may have ground next"""
 STRAY = 16
@@ -112,8 +115,8 @@ class Found(NamedTuple):
     """(C,) of the ground (mm), or `NO_GROUND`"""
     weight: Int32
     """(C,) points that show it"""
-    passed: UInt8
-    """(C,) 0, `PASSED` or `STOOD`"""
+    stood: Bool
+    """(C,) whether the robot stood there"""
 
 
 class Layer(NamedTuple):
@@ -134,7 +137,7 @@ def look_beside(
     blocks: Blocks,
     peaks: Peaks,
     path: Int64,
-    reach: tuple[int, int, int],
+    reach: tuple[int, int],
     layer: Layer,
     found: Found,
     depths: Int64,
@@ -146,31 +149,23 @@ def look_beside(
     path
         (P, 3) x, y, z of the sensor (mm).
     reach
-        How far beside it columns count, how far the robot passes by, and how far it stands.
+        How far beside it columns count, and how far the robot stands.
     found
         Changed in place.
     depths
         (D,) counts of depths by `BIN_MM`, from the least one on; they are added.
     """
-    (beside, by, under), (least, most, stray, lean_right, lean_up) = reach, layer
-    height, weight, passed = found
-    widest = max(beside, by)
+    (beside, under), (least, most, stray, lean_right, lean_up) = reach, layer
+    height, weight, stood = found
     for i in range(len(path)):
         row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
-        for up in range(-widest, widest + 1):
-            for right in range(-widest, widest + 1):
+        for up in range(-beside, beside + 1):
+            for right in range(-beside, beside + 1):
                 apart = up * up + right * right
-                if apart > widest * widest:
-                    continue
                 at = find_column(blocks, row + up, col + right)
-                if at < 0:
+                if at < 0 or apart > beside * beside:
                     continue
-                if apart <= under * under:
-                    passed[at] = STOOD
-                elif apart <= by * by and passed[at] != STOOD:
-                    passed[at] = PASSED
-                if apart > beside * beside:
-                    continue
+                stood[at] |= apart <= under * under
                 lowest, heaviest, first = -1, 0, peaks.first[at]
                 sensor = path[i, 2] + int(np.rint(lean_right * right + lean_up * up))
                 for k in range(first + peaks.many[at] - 1, first - 1, -1):
@@ -294,16 +289,14 @@ def sum_stepped(blocks: Blocks, found: Found, at: int) -> tuple[int, int, int, i
     """Sum up the columns that are a step lower than one.
 
     They lie within half a metre, and the step is less than 30 cm, and more than 6 cm + 0.12 of
-    the distance, or twice that far from the path.
+    the distance.
 
     Returns
     -------
     The points that they hold together; their heights (mm) times their points; and the sums of the
     ways there, up and right (columns).
     """
-    height, weight, passed = found
-    # Far away, poses that are off by tenths of a degree make steps of slopes.
-    doubt = 1 if passed[at] else 2
+    height, weight, _ = found
     points, weighted, ups, rights = 0, 0, 0, 0
     for up in range(-STEPPED, STEPPED + 1):
         for right in range(-STEPPED, STEPPED + 1):
@@ -311,7 +304,7 @@ def sum_stepped(blocks: Blocks, found: Found, at: int) -> tuple[int, int, int, i
             if near < 0 or height[near] == NO_GROUND:
                 continue
             apart, step = np.sqrt(float(up * up + right * right)), height[at] - height[near]
-            if doubt * (BRINK_MM + SLOPE_MM * apart) < step < HIGH_MM:
+            if BRINK_MM + SLOPE_MM * apart < step < HIGH_MM:
                 points += weight[near]
                 weighted += weight[near] * height[near]
                 ups += up
@@ -333,7 +326,7 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
     """
     for at in range(base.size):
         base[at] = found.height[at]
-        if found.height[at] == NO_GROUND or found.passed[at] == STOOD:
+        if found.height[at] == NO_GROUND or found.stood[at]:
             continue
         points, weighted, _, _ = sum_stepped(blocks, found, at)
         if points > found.weight[at]:
@@ -380,7 +373,7 @@ def find_below(blocks: Blocks, first: Found, height: Int32, at: int) -> int:
             is_below = near >= 0 and NO_GROUND < height[near] < 2 * level - above - BRINK_MM
             if is_below and height[near] == first.height[near]:
                 lowest = min(lowest, height[near])
-    return level if first.passed[at] == STOOD else lowest
+    return level if first.stood[at] else lowest
 
 
 @kernel
