@@ -116,7 +116,7 @@ def derive_ground(
     )
     notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
     notes += [*list_storeys(stood), *list_others(seats)]
-    notes += list_own(columns, counted.path, stands & (height != NO_GROUND))
+    notes += list_own(columns, counted.path, height, stands)
     return pack_ground(blocks, height, measured), notes
 
 
@@ -391,14 +391,14 @@ def list_others(seats: Sequence[Seat]) -> Iterator[str]:
             )
 
 
-def list_own(columns: Shown, path: Int64, stands: Bool) -> Iterator[str]:
-    """Say if points stand on the ground (C,) where sensors went themselves, along their path.
+def list_own(columns: Shown, path: Int64, height: Int32, stands: Bool) -> Iterator[str]:
+    """Say if points stand on the ground (C,; mm) where sensors went themselves, along their path.
 
     What is in the way of a robot cannot be where it drove.
     """
     way = find_nothing(columns)
     look_beside(columns, path, (0, 0), Layer(0, 0, 0), way)
-    own = stands[way.stood]
+    own = stands[way.stood & (height != NO_GROUND)]
     if len(own) >= LEAST_WAY and own.mean() > OWN_SHARE:
         yield (
             f"something stands in {own.mean():.0%} of the columns that the sensor itself went "

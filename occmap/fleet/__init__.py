@@ -116,9 +116,10 @@ class Fleet:
                 with tally.time("write"):
                     finish_store(store, manifest, records, crew.setting.keep.ground)
                 if options.writing.shapes:  # which may lie between blocks, or reach beyond the map
-                    edited = RenderOptions(writing=options.writing)
-                    shown = open_map(open_store(store), options.model, edited)
-                    facts = facts._replace(counts=survey_blocks(shown).counts)
+                    with tally.time("render"):
+                        edited = RenderOptions(writing=options.writing)
+                        shown = open_map(open_store(store), options.model, edited)
+                        facts = facts._replace(counts=survey_blocks(shown).counts)
         tally.notes += unaligned
         report = pipeline.make_report(options, [output], tally, facts, manifest)
         return replace(report, files=(str(output),))

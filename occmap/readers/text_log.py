@@ -34,8 +34,8 @@ SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 NO_LOG = "this is not a text log; check what the file is"
 POSE_NAMES = ("x", "y", "yaw")
-_LONE_CR = re.compile(rb"[^\r\n]*\r[^\r\n]")
-"""How a text begins whose lines end as those of an old Mac"""
+_LONE_CR = re.compile(rb"\r(?![\r\n])")
+"""How lines of an old Mac end"""
 
 
 class Line(NamedTuple):
@@ -99,10 +99,11 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
     damage: list[str] = []
     for piece in chain(_read_pieces(path, damage), [b""]):
         text += piece
-        if number == 1 and _LONE_CR.match(text):
-            fix = "end them as others do: tr '\\r' '\\n' < OLD > NEW"
-            raise LogError("its lines end in CR alone", where=path, fix=fix)
         end = text.rfind(b"\n") + 1
+        is_begun = number == 1 and (len(text) >= BLOCK_BYTES or not piece)
+        if is_begun and len(_LONE_CR.findall(text)) > text.count(b"\n"):
+            fix = r"end them in LF, as `tr '\r' '\n'` does"
+            raise LogError("its lines end in CR alone", where=path, fix=fix)
         if end and (len(text) >= BLOCK_BYTES or not piece):
             whole = bytes(memoryview(text)[:end])
             block = make_block(number, whole.translate(table) if table else whole)

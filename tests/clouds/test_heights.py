@@ -138,8 +138,9 @@ def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
     column, at = np.array([[at for at, *_ in counted], range(len(keys))], np.int32)
     pieces = Pieces(column, keys, at, counts)
     columns = ground.Shown(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
-    found, _ = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
+    found, stands = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
     assert np.flatnonzero(found).tolist() == list(holes)
+    assert np.flatnonzero(stands).tolist() == [at for at, of in points.items() if 120 in of]
 
 
 def drop(height: Int32, weight: Int32, stood: Bool) -> Int32:

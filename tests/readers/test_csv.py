@@ -165,7 +165,7 @@ MANY = "1,2,3\n" * (BLOCK_BYTES // 3)
         (WHOLE.replace("r2", "r1"), "1: column r1 stands twice"),
         *((content, " no header row; ") for content in ("", "\n", CONSTANTS)),
         (gzip.compress(HEADER.encode(), mtime=0)[:15], " no header row; the gzip data is cut"),
-        (f"{HEADER}\r{ROW}\r{ROW}\n".encode(), r" its lines end in CR alone; .*: tr '.r' '.n' <"),
+        (f"{HEADER}\r{ROW}\r{ROW}\n".encode(), " its lines end in CR alone; .* LF, as `tr"),
         (f"{CONSTANTS}# range_max: 8 m\n{SMALL}", "3: range_max: '8 m' where a number"),
         (f"{CONSTANTS}# range_max: nan\n{SMALL}", "3: range_max is nan, .*; write `# range_max: "),
         (f"{CONSTANTS}# time_increment: inf\n{SMALL}", "3: time_increment is inf, which is not"),
