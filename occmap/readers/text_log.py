@@ -34,8 +34,8 @@ SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 NO_LOG = "this is not a text log; check what the file is"
 POSE_NAMES = ("x", "y", "yaw")
-_LONE_CR = re.compile(rb"\r(?![\r\n])")
-"""How lines of an old Mac end"""
+_LONE_CR = re.compile(rb"\r(?=[^\r\n])")
+"""How a line of an old Mac ends, before another one"""
 
 
 class Line(NamedTuple):
