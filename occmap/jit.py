@@ -160,8 +160,7 @@ def to_numba(kind: Any) -> Any:
         return getattr(numba.types, SCALARS[kind])
     if isinstance(kind[0], np.dtype):
         dtype, dimensions, layout, aligned = kind
-        of = numba.from_dtype(dtype)
-        return numba.types.Array(of, dimensions, layout, aligned=aligned)
+        return numba.types.Array(numba.from_dtype(dtype), dimensions, layout, aligned=aligned)
     made, items = kind[0], tuple(map(to_numba, kind[1]))
     return numba.types.BaseTuple.from_types(items, None if made is tuple else made)
 

@@ -213,8 +213,8 @@ def drop_low(columns: Shown, found: Found, height: Int32) -> None:
     """
     growth.drop_raised(columns.blocks, found, height)
     low, peaks = np.flatnonzero(height != found.height), columns.peaks
-    first, peaks.many[low] = peaks.first[low], 1
-    peaks.height[first], peaks.weight[first] = height[low], found.weight[low]
+    first = peaks.first[low]
+    peaks.many[low], peaks.height[first], peaks.weight[first] = 1, height[low], found.weight[low]
 
 
 def fill(blocks: Blocks, height: Int32, rounds: int, peaks: Peaks = NO_PEAKS) -> None:

@@ -100,11 +100,11 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
     for piece in chain(_read_pieces(path, damage), [b""]):
         text += piece
         end = text.rfind(b"\n") + 1
-        is_begun = number == 1 and (len(text) >= BLOCK_BYTES or not piece)
-        if is_begun and len(_LONE_CR.findall(text)) > text.count(b"\n"):
+        is_block = len(text) >= BLOCK_BYTES or not piece
+        if is_block and number == 1 and len(_LONE_CR.findall(text)) > text.count(b"\n"):
             fix = r"end them in LF, as `tr '\r' '\n'` does"
             raise LogError("its lines end in CR alone", where=path, fix=fix)
-        if end and (len(text) >= BLOCK_BYTES or not piece):
+        if end and is_block:
             whole = bytes(memoryview(text)[:end])
             block = make_block(number, whole.translate(table) if table else whole)
             yield block

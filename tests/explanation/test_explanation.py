@@ -137,6 +137,18 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth() -> None:
     assert ask(subtract(evidence, evidence), END).map_extent is None
 
 
+def test_a_wall_seen_twice_and_then_crossed() -> None:
+    poses = [AHEAD, (0.65, 0.05, math.pi), (5, 5, 0.0), (0.25, 0.05, 0.0)]
+    found = ask(observe(poses), END, LOG)
+    seconds = [each.stamp_ns / 1e9 for each in found.scans]
+    assert seconds == [0, 1, 3]  # the scan at 2 s was elsewhere
+    assert [each.seen.numbers for each in found.scans] == [(1, 0), (1, 0), (0, 1)]
+    assert [each.x for each in found.scans] == [0.05, 0.65, 0.25]
+    odds = (0.7 / 0.3) ** 2 * 0.4 / 0.6
+    assert found.probability == pytest.approx(odds / (1 + odds))
+    assert found.scans_used == 4
+
+
 @pytest.mark.parametrize(
     ("yaw", "point", "around"),
     [

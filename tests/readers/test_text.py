@@ -42,6 +42,7 @@ def test_a_line_feed_in_the_next_block_is_no_line(
 ) -> None:
     monkeypatch.setattr(text_log, "BLOCK_BYTES", size)
     assert read_lines(tmp_path, b"four\r\nlast\r\n") == (["four", "last"], [])
+    assert read_lines(tmp_path, b"three\nl\ra\rt\n") == (["three", "l\ra\rt"], [])
 
 
 def test_gzip_and_plain_give_the_same_lines(tmp_path: Path) -> None:

@@ -79,6 +79,13 @@ def test_a_turned_map_says_so_and_diff_notes_it(built: Path, tmp_path: Path) -> 
     assert ask("diff", built / "m.yaml", built / "m.npz")["notes"] == []
 
 
+def test_loaders_of_the_yaml_see_what_they_always_saw(built: Path) -> None:
+    loaded = YAML(typ="safe").load((built / "m.yaml").read_text())
+    assert set(loaded) == {
+        *("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+    }
+
+
 @pytest.mark.parametrize(
     "words", [("--jobs", 2), ("--resume", "a.npz", "--start", 40)], ids=["jobs", "resume"]
 )

@@ -10,6 +10,14 @@ from occmap.errors import OutputError
 from occmap.writers.atomic import open_atomic
 
 
+def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
+    with open_atomic(tmp_path / "map.pgm") as (file,):
+        file.write(b"new")
+        assert not (tmp_path / "map.pgm").exists()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["map.pgm"]
+    assert (tmp_path / "map.pgm").read_bytes() == b"new"
+
+
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError])
 def test_an_interrupted_write_keeps_the_old_file(
     tmp_path: Path, failure: type[BaseException]

@@ -162,8 +162,10 @@ def look_beside(
         for up in range(-beside, beside + 1):
             for right in range(-beside, beside + 1):
                 apart = up * up + right * right
+                if apart > beside * beside:
+                    continue
                 at = find_column(blocks, row + up, col + right)
-                if at < 0 or apart > beside * beside:
+                if at < 0:
                     continue
                 stood[at] |= apart <= under * under
                 lowest, heaviest, first = -1, 0, peaks.first[at]
